@@ -1,0 +1,42 @@
+"""Activation functions with their first and second derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit
+
+Array = Float[np.ndarray, '...']
+
+
+class Activation(NamedTuple):
+    """A scalar function σ applied to each unit, and its derivatives."""
+
+    value: Callable[[Array], Array]
+    first_derivative: Callable[[Array], Array]
+    second_derivative: Callable[[Array], Array]
+
+
+def _silu_first(z: Array) -> Array:
+    s = expit(z)
+    return s * (1.0 + z * (1.0 - s))
+
+
+def _silu_second(z: Array) -> Array:
+    s = expit(z)
+    return s * (1.0 - s) * (2.0 + z * (1.0 - 2.0 * s))
+
+
+ACTIVATIONS = {
+    'elu': Activation(
+        value=lambda z: np.where(z > 0, z, np.expm1(np.minimum(z, 0))),
+        first_derivative=lambda z: np.exp(np.minimum(z, 0)),
+        second_derivative=lambda z: np.where(z > 0, 0.0, np.exp(np.minimum(z, 0))),
+    ),
+    'silu': Activation(
+        value=lambda z: z * expit(z), first_derivative=_silu_first, second_derivative=_silu_second
+    ),
+}

@@ -1,0 +1,49 @@
+"""What the rest of the package needs of any autoencoder."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Autoencoder(ABC):
+    """An encoder E: ℝⁿ → ℝᵐ and a decoder D: ℝᵐ → ℝⁿ with their derivatives, in float64.
+
+    `encode` and `decode` take any leading dimensions; the derivatives take one point.
+    """
+
+    @property
+    @abstractmethod
+    def configuration_size(self) -> int:
+        """Return n."""
+
+    @property
+    @abstractmethod
+    def latent_size(self) -> int:
+        """Return m."""
+
+    @abstractmethod
+    def encode(self, configuration: Float[np.ndarray, '*batch n']) -> Float[np.ndarray, '*batch m']:
+        """Return ξ = E(q)."""
+
+    @abstractmethod
+    def decode(self, latent: Float[np.ndarray, '*batch m']) -> Float[np.ndarray, '*batch n']:
+        """Return D(ξ) [m]."""
+
+    @abstractmethod
+    def encoder_jacobian_vector_product(
+        self, configuration: Float[np.ndarray, ' n'], velocity: Float[np.ndarray, ' n']
+    ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
+        """Return ξ = E(q) and ξ̇ = J_E(q) q̇ in one pass (paper, section IV)."""
+
+    @abstractmethod
+    def decoder_jacobian(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'n m']:
+        """Return J = ∂D/∂ξ."""
+
+    @abstractmethod
+    def decoder_curvature(
+        self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']
+    ) -> Float[np.ndarray, 'm m']:
+        """Return Σ_i w_i ∂²D_i/∂ξ², the Hessian of w·D(ξ): what chain-rule Hessians need of D."""

@@ -1,0 +1,152 @@
+"""Checkpoints: a trained autoencoder as safetensors plus JSON. No pickle is ever loaded."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+
+from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.flat_module import FlatArchitecture, FlatModule
+from dpc_ros.network import MassSpringNetwork
+from dpc_ros.resources import find_resource
+
+FORMAT = 'dpc_ros.checkpoint'
+VERSION = 1
+_DIGEST_LENGTH = 12
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that can't be used: what was expected, what came, what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A trained autoencoder and where it comes from.
+
+    Attributes:
+        name: of the checkpoint.
+        module: the torch module.
+        network: name and digest of the body that it belongs to.
+        provenance: recipe, data, scores, versions.
+        digest: twelve hexadecimal digits of the stored tensors; empty before it is saved.
+    """
+
+    name: str
+    module: FlatModule
+    network: dict[str, str]
+    provenance: dict[str, Any] = field(default_factory=dict)
+    digest: str = ''
+
+    @property
+    def identifier(self) -> str:
+        """`<name>@<digest>`, the `frame_id` of its latent states."""
+        return f'{self.name}@{self.digest}'
+
+    def autoencoder(self) -> Autoencoder:
+        """Return it for online use, in float64."""
+        return self.module.export()
+
+    def check_network(self, network: MassSpringNetwork) -> None:
+        """Make sure that the checkpoint was trained on this network.
+
+        Raises:
+            CheckpointError: it belongs to another.
+        """
+        if self.network['digest'] != network.digest:
+            raise CheckpointError(
+                f'checkpoint {self.name} was trained on '
+                f'{self.network["name"]}@{self.network["digest"]}, not on {network.identifier}: '
+                'choose a checkpoint of this network, or train one with `dpc train`'
+            )
+
+
+def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
+    """Write `<name>.safetensors` and `<name>.json` into a folder and return the JSON's path."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    tensors = save({k: v.contiguous() for k, v in checkpoint.module.state_dict().items()})
+    architecture = asdict(checkpoint.module.architecture)
+    content = {
+        'format': FORMAT,
+        'version': VERSION,
+        'name': checkpoint.name,
+        'kind': 'flat',
+        'architecture': architecture,
+        'network': checkpoint.network,
+        'sha256': hashlib.sha256(tensors).hexdigest(),
+        **checkpoint.provenance,
+    }
+    path = folder / f'{checkpoint.name}.json'
+    _replace(path.with_suffix('.safetensors'), tensors)
+    _replace(path, (json.dumps(content, indent=2) + '\n').encode())
+    return path
+
+
+def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
+    """Read a checkpoint by the path of its JSON file, or a shipped one by its name.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        CheckpointError: a file is truncated, altered, of an unknown kind or version.
+    """
+    path = find_resource(name_or_path, 'checkpoints', '.json')
+    content = _read_json(path)
+    tensors_path = path.with_suffix('.safetensors')
+    if not tensors_path.is_file():
+        raise CheckpointError(f'{path}: its tensors {tensors_path.name} are missing beside it')
+    data = tensors_path.read_bytes()
+    sha256 = hashlib.sha256(data).hexdigest()
+    if sha256 != content['sha256']:
+        raise CheckpointError(
+            f'{tensors_path}: truncated or altered, expected SHA-256 {content["sha256"]}, '
+            f'got {sha256}: copy or train the checkpoint again'
+        )
+    try:
+        module = FlatModule(FlatArchitecture(**content['architecture']))
+        module.load_state_dict(load(data))
+    except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
+        raise CheckpointError(f'{path}: architecture and tensors do not fit, {error}') from error
+    if not all(torch.isfinite(value).all() for value in module.state_dict().values()):
+        raise CheckpointError(f'{tensors_path}: holds values that are not finite')
+    known = ('format', 'version', 'name', 'kind', 'architecture', 'network', 'sha256')
+    return Checkpoint(
+        name=content['name'],
+        module=module,
+        network=content['network'],
+        provenance={key: value for key, value in content.items() if key not in known},
+        digest=sha256[:_DIGEST_LENGTH],
+    )
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise CheckpointError(
+            f'{path}: expected a checkpoint as JSON (truncated?), but {error}'
+        ) from error
+    if not isinstance(content, dict) or content.get('format') != FORMAT:
+        raise CheckpointError(f'{path}: expected a checkpoint, "format" should be {FORMAT!r}')
+    if content.get('version') != VERSION or content.get('kind') != 'flat':
+        raise CheckpointError(
+            f'{path}: kind {content.get("kind")!r}, version {content.get("version")!r}; this '
+            f"dpc_ros reads 'flat', version {VERSION}: use the dpc_ros that wrote it or train anew"
+        )
+    missing = {'name', 'architecture', 'network', 'sha256'} - content.keys()
+    if missing:
+        raise CheckpointError(f'{path}: expected the keys {sorted(missing)}, which are missing')
+    return content
+
+
+def _replace(path: Path, data: bytes) -> None:
+    partial = path.with_name(path.name + '.partial')
+    partial.write_bytes(data)
+    os.replace(partial, path)

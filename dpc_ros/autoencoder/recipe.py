@@ -1,0 +1,130 @@
+"""A training recipe: everything that, with the data, determines an autoencoder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dpc_ros.resources import find_resource
+
+_WARM_UP = 0.3  # fraction of a one-cycle schedule in which the learning rate rises
+_FIRST_DIVISOR = 25.0
+_LAST_DIVISOR = 1e4
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How one autoencoder is trained; defaults are the paper's for system 2 (section A.2).
+
+    Attributes:
+        name: of the checkpoint that comes out.
+        network: name or path of the body.
+        latent_size: m.
+        hidden_sizes: units of the encoder's hidden layers, mirrored by the decoder.
+        activation: `elu` (paper) or `silu`.
+        skip: centre and scale the data and add linear POD maps around both networks.
+        epochs: passes over the training configurations.
+        batch_size: configurations per step of Adam.
+        learning_rate: of Adam; the peak of a one-cycle schedule.
+        weight_decay: λ of the L2 regularisation.
+        schedule: `step` multiplies the rate by `step_factor` every `step_epochs`; `one_cycle`
+            rises to the peak over three tenths of the steps and falls to nearly zero (cosine).
+        step_epochs: epochs between two reductions.
+        step_factor: γ.
+        seed: of initial weights and batches.
+
+    Raises:
+        ValueError: a value is out of its range.
+    """
+
+    name: str
+    network: str
+    latent_size: int = 5
+    hidden_sizes: tuple[int, ...] = (300, 200, 100)
+    activation: str = 'elu'
+    skip: bool = False
+    epochs: int = 500
+    batch_size: int = 256
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-5
+    schedule: str = 'step'
+    step_epochs: int = 200
+    step_factor: float = 0.3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'hidden_sizes', tuple(self.hidden_sizes))
+        for key in ('latent_size', 'epochs', 'batch_size', 'step_epochs'):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ValueError(f'{key}: expected a whole number ≥ 1, got {value!r}')
+        for key in ('learning_rate', 'weight_decay', 'step_factor'):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ValueError(f'{key}: expected a number, got {value!r} (write 1.0e-3, not 1e-3)')
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f'{key}: expected a finite number ≥ 0, got {value}')
+        if self.schedule not in SCHEDULES:
+            raise ValueError(f'schedule {self.schedule!r}: expected one of {sorted(SCHEDULES)}')
+
+    def learning_rate_at(self, step: int, steps_per_epoch: int) -> float:
+        """Return the learning rate of a step of Adam, counted from zero over all epochs."""
+        return SCHEDULES[self.schedule](self, step, steps_per_epoch)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the recipe as plain JSON data."""
+        return {**asdict(self), 'hidden_sizes': list(self.hidden_sizes)}
+
+
+def load_recipe(name_or_path: str | Path) -> Recipe:
+    """Read a recipe from a YAML file, or a shipped one by its name.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is not YAML, a key is unknown or missing, or a value is out of range.
+    """
+    path = find_resource(name_or_path, 'training', '.yaml')
+    try:
+        content = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise ValueError(f'{path}: expected YAML, but {error}') from error
+    if not isinstance(content, dict):
+        raise ValueError(f'{path}: expected keys and values, got a {type(content).__name__}')
+    known = {field.name for field in fields(Recipe)}
+    if content.keys() - known:
+        raise ValueError(
+            f'{path}: unknown keys {sorted(content.keys() - known)}, a recipe has {sorted(known)}'
+        )
+    try:
+        return Recipe(**content)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{path}: {error}') from error
+
+
+def _step_schedule(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
+    epoch = step // steps_per_epoch
+    return recipe.learning_rate * recipe.step_factor ** (epoch // recipe.step_epochs)
+
+
+def _one_cycle_schedule(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
+    first = recipe.learning_rate / _FIRST_DIVISOR
+    last = first / _LAST_DIVISOR
+    progress = step / max(recipe.epochs * steps_per_epoch - 1, 1)
+    if progress < _WARM_UP:
+        return _cosine(first, recipe.learning_rate, progress / _WARM_UP)
+    return _cosine(recipe.learning_rate, last, (progress - _WARM_UP) / (1 - _WARM_UP))
+
+
+def _cosine(start: float, end: float, progress: float) -> float:
+    return end + (start - end) * 0.5 * (1.0 + math.cos(math.pi * progress))
+
+
+SCHEDULES: dict[str, Callable[[Recipe, int, int], float]] = {
+    'step': _step_schedule,
+    'one_cycle': _one_cycle_schedule,
+}

@@ -1,0 +1,27 @@
+"""Logs of runs: rosbag2 bags written and read without ROS, and the convergence they show."""
+
+from dpc_ros.bag.convergence import Convergence, Energy, analyse
+from dpc_ros.bag.convergence_table import table
+from dpc_ros.bag.figure import draw
+from dpc_ros.bag.mcap_file import BagError
+from dpc_ros.bag.reader import Run, Target, read_run
+from dpc_ros.bag.report import PARAMETERS_RECORD, converge
+from dpc_ros.bag.topic import QosProfile, Topic
+from dpc_ros.bag.writer import BagWriter
+
+__all__ = [
+    'PARAMETERS_RECORD',
+    'BagError',
+    'BagWriter',
+    'Convergence',
+    'Energy',
+    'QosProfile',
+    'Run',
+    'Target',
+    'Topic',
+    'analyse',
+    'converge',
+    'draw',
+    'read_run',
+    'table',
+]

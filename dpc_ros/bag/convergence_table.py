@@ -1,0 +1,116 @@
+"""The convergence of a run as a table for the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from dpc_ros.bag.convergence import Convergence
+from dpc_ros.bag.reader import Run
+
+_FIRST_TIMES = (0.0, 0.25, 0.5)  # s; whole seconds follow, then whole tens, …
+_TIMES_PER_DECADE = 9
+_NOTHING = '–'
+_COLUMNS = ('t [s]', 'nMSE', 'latent error', '|force| [N]', 'kinetic [J]', 'potential [J]')
+_WIDTHS = (8, 11, 12, 11, 11, 13)
+
+
+def table(convergence: Convergence) -> str:
+    """Return a convergence in lines of text: models and target, course in time, summary, messages.
+
+    A row shows what was the case at its time: the last sample at or before it.
+    """
+    run = convergence.run
+    lines = [
+        f'network     {run.network_identifier or _NOTHING}',
+        f'checkpoint  {run.autoencoder_identifier or _NOTHING}',
+        f'target      {describe_target(convergence)}',
+        '',
+        _row(_COLUMNS),
+        *(_row(_cells(convergence, time)) for time in row_times(convergence.time[-1])),
+        '',
+        f'final nMSE     {_number(convergence.final_nmse)}'
+        + ('  FAILED: the body ended farther from the target' if convergence.failed else ''),
+        f'settling time  {_settling(convergence)}',
+        f'peak force     {_number(convergence.peak_force, "N")}',
+        f'RMS force      {_number(convergence.rms_force, "N")}',
+        '',
+        *_messages(run),
+    ]
+    return '\n'.join(lines)
+
+
+def row_times(end: float) -> list[float]:
+    """Return the times that a log of that length [s] is shown at, its end among them."""
+    times = [time for time in _FIRST_TIMES if time < end]
+    step = 1.0
+    while step < end:
+        times += [k * step for k in range(1, _TIMES_PER_DECADE + 1) if k * step < end]
+        step *= 10
+    return [*times, end]
+
+
+def describe_target(convergence: Convergence) -> str:
+    """Return in words which target was in force at the end."""
+    ignored = convergence.ignored_targets
+    suffix = f' ({ignored} unusable ignored)' if ignored else ''
+    target = convergence.target
+    if target is None:
+        return 'none in force' + suffix
+    kind = 'configuration' if target.latent is None else 'latent'
+    name = f' of {target.frame_id}' if target.frame_id else ''
+    return f'{kind}{name} from {convergence.target_time:g} s' + suffix
+
+
+def _cells(convergence: Convergence, time: float) -> tuple[str, ...]:
+    energy = convergence.energy
+    return (
+        f'{time:.2f}',
+        _number(_last(convergence.time, convergence.nmse, time)),
+        _number(_last(convergence.latent_time, convergence.latent_error, time)),
+        _number(_last(convergence.force_time, convergence.force_norm, time)),
+        _number(_last(convergence.time, energy.kinetic if energy else None, time)),
+        _number(_last(convergence.time, energy.potential if energy else None, time)),
+    )
+
+
+def _last(
+    times: Float[np.ndarray, ' k'], values: Float[np.ndarray, ' k'] | None, time: float
+) -> float:
+    place = np.searchsorted(times, time, side='right') - 1
+    return np.nan if values is None or place < 0 else float(values[place])
+
+
+def _row(cells: tuple[str, ...]) -> str:
+    return '  '.join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
+
+
+def _number(value: float, unit: str = '') -> str:
+    return _NOTHING if np.isnan(value) else f'{value:.4g} {unit}'.rstrip()
+
+
+def _settling(convergence: Convergence) -> str:
+    if np.isnan(convergence.settling_time):
+        return 'never'
+    text = _number(convergence.settling_time, 's')
+    if convergence.target_time > 0:
+        since = convergence.settling_time - convergence.target_time
+        text += f' ({_number(since, "s")} after its target)'
+    return text
+
+
+def _messages(run: Run) -> list[str]:
+    lines = []
+    width = max(len(topic) for topic in run.messages)
+    for topic, count in sorted(run.messages.items()):
+        notes = [
+            f'{number} {what}'
+            for number, what in (
+                (run.repeats.get(topic, 0), 'repeated'),
+                (run.losses.get(topic, 0), 'LOST'),
+                (run.setbacks.get(topic, 0), 'with a stamp SET BACK'),
+            )
+            if number
+        ]
+        lines.append(f'{topic.ljust(width)}  {count:>8} messages  {", ".join(notes)}'.rstrip())
+    return lines

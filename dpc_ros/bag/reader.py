@@ -1,0 +1,270 @@
+"""Reading a run: the arrays of the closed loop out of the log of its topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from dpc_ros.bag.mcap_file import (
+    BagError,
+    Contents,
+    Message,
+    find_file,
+    read_contents,
+    read_messages,
+)
+from dpc_ros.bag.topic import NANOSECONDS
+
+LATENT_NAME = 'xi_'  # how the names of a latent target start
+
+_JOINT_STATE = 'sensor_msgs/msg/JointState'
+_WRENCH = 'geometry_msgs/msg/WrenchStamped'
+_TYPES = {
+    'configuration': _JOINT_STATE,
+    'latent_state': _JOINT_STATE,
+    'target': _JOINT_STATE,
+    'control_force': _WRENCH,
+    'external_force': _WRENCH,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where the body was told to go.
+
+    Attributes:
+        stamp_ns: from when on it is in force [ns]; 0 means from the beginning.
+        configuration: q̄ [m], or None where the target is a latent one.
+        latent: ξ̄, or None where the target is a configuration.
+        frame_id: of the message.
+    """
+
+    stamp_ns: int
+    configuration: Float[np.ndarray, ' n'] | None
+    latent: Float[np.ndarray, ' m'] | None
+    frame_id: str
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The log of a closed loop, each signal in the order of its stamps, each stamp once.
+
+    Attributes:
+        path: the MCAP file.
+        namespace: of the topics, empty or `/body_2`.
+        configuration_stamp: of each state of the body [ns].
+        configuration: q [m].
+        velocity: q̇ [m/s].
+        latent_stamp: of each latent state [ns].
+        latent: ξ.
+        latent_velocity: ξ̇ [1/s].
+        force_stamp: of each force of the controller [ns].
+        force: u [N].
+        external_force_stamp: of each external force [ns].
+        external_force: [N].
+        targets: in the order of their stamps, of equal stamps the last received last.
+        network_identifier: `<network>@<digest>`.
+        autoencoder_identifier: `<checkpoint>@<digest>`, empty where no latent state is logged.
+        messages: number of messages of each topic of the bag.
+        repeats: of each topic of the loop, messages whose stamp had been there before.
+        losses: of each topic of the loop with one publisher, messages that its sequence numbers
+            miss between the first and the last one logged.
+        setbacks: of each topic of the loop, how often a stamp was lower than the one before; a
+            simulator that starts anew sets its clock back.
+        metadata: the bag's records of keys and values, by name.
+    """
+
+    path: Path
+    namespace: str
+    configuration_stamp: Int[np.ndarray, ' frames']
+    configuration: Float[np.ndarray, 'frames n']
+    velocity: Float[np.ndarray, 'frames n']
+    latent_stamp: Int[np.ndarray, ' latents']
+    latent: Float[np.ndarray, 'latents m']
+    latent_velocity: Float[np.ndarray, 'latents m']
+    force_stamp: Int[np.ndarray, ' forces']
+    force: Float[np.ndarray, 'forces 2']
+    external_force_stamp: Int[np.ndarray, ' pushes']
+    external_force: Float[np.ndarray, 'pushes 2']
+    targets: tuple[Target, ...]
+    network_identifier: str
+    autoencoder_identifier: str
+    messages: dict[str, int] = field(default_factory=dict)
+    repeats: dict[str, int] = field(default_factory=dict)
+    losses: dict[str, int] = field(default_factory=dict)
+    setbacks: dict[str, int] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+def read_run(path: str | Path, namespace: str | None = None) -> Run:
+    """Read the log of a run.
+
+    Args:
+        path: folder of the bag, or its MCAP file.
+        namespace: of the topics, `body_2` or `/body_2`; `/` is none. Left out, the only one in
+            which a configuration occurs.
+
+    Raises:
+        BagError: the path is no bag, the file is damaged, there is no configuration message, no
+            or more than one namespace fits, or a topic holds what a loop can't have published.
+    """
+    file = find_file(path)
+    contents = read_contents(file)
+    namespace = _choose_namespace(file, contents, namespace)
+    signals = {f'{namespace}/{name}': _Signal(kind) for name, kind in _READERS.items()}
+    targets: list[Target] = []
+    target_topic = f'{namespace}/target'
+    _check_types(file, contents, namespace)
+    for message in read_messages(file, [*signals, target_topic]):
+        if message.topic == target_topic:
+            targets.append(_target(message.content))
+        else:
+            signals[message.topic].add(message)
+    body, latent, force, push = signals.values()
+    for topic, signal in signals.items():
+        signal.check(file, topic)
+    present = {topic: signal for topic, signal in signals.items() if contents.messages.get(topic)}
+    return Run(
+        path=file,
+        namespace=namespace,
+        configuration_stamp=body.stamps(),
+        configuration=body.column(0),
+        velocity=body.column(1),
+        latent_stamp=latent.stamps(),
+        latent=latent.column(0),
+        latent_velocity=latent.column(1),
+        force_stamp=force.stamps(),
+        force=force.column(0).reshape(-1, 2),
+        external_force_stamp=push.stamps(),
+        external_force=push.column(0).reshape(-1, 2),
+        targets=tuple(sorted(targets, key=lambda target: target.stamp_ns)),
+        network_identifier=body.frame_id,
+        autoencoder_identifier=latent.frame_id,
+        messages=contents.messages,
+        repeats={topic: signal.repeats for topic, signal in present.items()},
+        losses={topic: signal.lost for topic, signal in present.items() if signal is not push},
+        setbacks={topic: signal.setbacks for topic, signal in present.items()},
+        metadata=contents.metadata,
+    )
+
+
+def _joint_state(content: Any) -> tuple[np.ndarray, ...]:
+    return np.array(content.position, dtype=float), np.array(content.velocity, dtype=float)
+
+
+def _planar_force(content: Any) -> tuple[np.ndarray, ...]:
+    return (np.array([content.wrench.force.x, content.wrench.force.y]),)
+
+
+_READERS: dict[str, Callable[[Any], tuple[np.ndarray, ...]]] = {
+    'configuration': _joint_state,
+    'latent_state': _joint_state,
+    'control_force': _planar_force,
+    'external_force': _planar_force,
+}
+
+
+class _Signal:
+    """The messages of one topic as they come in, the first of each stamp kept."""
+
+    def __init__(self, read: Callable[[Any], tuple[np.ndarray, ...]]) -> None:
+        self._read = read
+        self._rows: dict[int, tuple[np.ndarray, ...]] = {}
+        self._frame_ids: dict[str, int] = {}
+        self._last_stamp = 0
+        self._last_sequence = 0
+        self.repeats = self.lost = self.setbacks = 0
+
+    def add(self, message: Message) -> None:
+        stamp = _nanoseconds(message.content)
+        self.setbacks += stamp < self._last_stamp
+        self._last_stamp = stamp
+        # Numbers that start anew are those of a restarted publisher: nothing is known to be lost.
+        if 0 < self._last_sequence < message.sequence:
+            self.lost += message.sequence - self._last_sequence - 1
+        self._last_sequence = message.sequence
+        if stamp in self._rows:
+            self.repeats += 1
+            return
+        self._rows[stamp] = self._read(message.content)
+        self._frame_ids.setdefault(message.content.header.frame_id, stamp)
+
+    @property
+    def frame_id(self) -> str:
+        return next(iter(self._frame_ids), '')
+
+    def check(self, file: Path, topic: str) -> None:
+        sizes = {tuple(part.size for part in row) for row in self._rows.values()}
+        if len(sizes) > 1 or any(len(set(size)) > 1 for size in sizes):
+            raise BagError(
+                f'{file}: expected positions and velocities of one size on {topic}, '
+                f'got sizes {sorted(sizes)}'
+            )
+        if self._read is _joint_state and len(self._frame_ids) > 1:
+            raise BagError(
+                f'{file}: expected one frame_id on {topic}, got {sorted(self._frame_ids)}: '
+                'record runs with other models into bags of their own'
+            )
+
+    def stamps(self) -> np.ndarray:
+        return np.array(sorted(self._rows), dtype=np.int64)
+
+    def column(self, part: int) -> np.ndarray:
+        if not self._rows:
+            return np.zeros((0, 0))
+        return np.array([self._rows[stamp][part] for stamp in sorted(self._rows)])
+
+
+def _target(content: Any) -> Target:
+    position = np.array(content.position, dtype=float)
+    is_latent = bool(content.name) and all(name.startswith(LATENT_NAME) for name in content.name)
+    return Target(
+        stamp_ns=_nanoseconds(content),
+        configuration=None if is_latent else position,
+        latent=position if is_latent else None,
+        frame_id=content.header.frame_id,
+    )
+
+
+def _nanoseconds(content: Any) -> int:
+    return content.header.stamp.sec * NANOSECONDS + content.header.stamp.nanosec
+
+
+def _choose_namespace(file: Path, contents: Contents, wanted: str | None) -> str:
+    found = sorted(
+        topic.removesuffix('/configuration')
+        for topic, count in contents.messages.items()
+        if count and topic.endswith('/configuration') and contents.types[topic] == _JOINT_STATE
+    )
+    if not found:
+        raise BagError(
+            f'{file}: expected messages on a topic `configuration` of type {_JOINT_STATE}, got '
+            f'{contents.messages or "no topic"}: record while the simulator runs'
+        )
+    shown = [namespace or '/' for namespace in found]
+    if wanted is None:
+        if len(found) > 1:
+            raise BagError(
+                f'{file}: expected the configurations of one body, got those of the namespaces '
+                f'{shown}: name one'
+            )
+        return found[0]
+    stripped = wanted.strip('/')
+    namespace = f'/{stripped}' if stripped else ''
+    if namespace not in found:
+        raise BagError(f'{file}: no configuration in the namespace {wanted!r}: the bag has {shown}')
+    return namespace
+
+
+def _check_types(file: Path, contents: Contents, namespace: str) -> None:
+    for name, expected in _TYPES.items():
+        topic = f'{namespace}/{name}'
+        if contents.messages.get(topic) and contents.types[topic] != expected:
+            raise BagError(
+                f'{file}: expected {expected} on {topic}, got {contents.types[topic] or "no type"}'
+            )

@@ -1,0 +1,91 @@
+"""The convergence of a bag, with the models that the bag itself names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint
+from dpc_ros.bag.convergence import Convergence, analyse
+from dpc_ros.bag.reader import Run, read_run
+from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
+
+PARAMETERS_RECORD = 'dpc_ros.parameters'
+
+
+def converge(
+    bag: str | Path,
+    network: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    namespace: str | None = None,
+) -> tuple[Convergence, list[str]]:
+    """Measure the convergence of a logged run.
+
+    Args:
+        bag: folder or MCAP file.
+        network: name or path; the shipped one that the log names where left out.
+        checkpoint: name or path; likewise.
+        namespace: of the topics, the only one in the log where left out.
+
+    Returns:
+        the convergence, and a line for each thing that could not be measured.
+
+    Raises:
+        BagError: the bag can't be read.
+        ValueError: a given network or checkpoint is not the one of the log.
+    """
+    run = read_run(bag, namespace)
+    notes: list[str] = []
+    mechanics = _mechanics(run, network, notes)
+    autoencoder = _autoencoder(run, checkpoint, notes)
+    return analyse(run, mechanics, autoencoder), notes
+
+
+def _mechanics(run: Run, name: str | Path | None, notes: list[str]) -> Mechanics | None:
+    logged_name, _, digest = run.network_identifier.partition('@')
+    body: MassSpringNetwork | None = None
+    try:
+        body = load_network(name or logged_name)
+    except (FileNotFoundError, ValueError):
+        if name is not None:
+            raise
+    if body is None or (name is None and body.digest != digest):
+        notes.append(f'no energies: {run.network_identifier} is not shipped, name it by --network')
+        return None
+    gravity = _gravity(run)
+    if gravity is None:
+        notes.append('the log does not say the gravity: energies are without it')
+    return Mechanics(body, gravity or Gravity())
+
+
+def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoencoder | None:
+    logged_name, _, digest = run.autoencoder_identifier.partition('@')
+    found: Checkpoint | None = None
+    try:
+        if name or logged_name:
+            found = load_checkpoint(name or logged_name)
+    except (FileNotFoundError, ValueError):
+        if name is not None:
+            raise
+    if found is None or (name is None and found.digest != digest):
+        notes.append(
+            f'no latent error: {run.autoencoder_identifier or "the checkpoint"} is not shipped, '
+            'name it by --checkpoint'
+        )
+        return None
+    return found.autoencoder()
+
+
+def _gravity(run: Run) -> Gravity | None:
+    """Return the field that the simulator's parameters in the log name, if they are there."""
+    record = run.metadata.get(PARAMETERS_RECORD, {})
+    content = yaml.safe_load(record.get('yaml', '')) or {}
+    for section, entry in content.items():
+        if section.split('/')[-1] == 'simulator':
+            parameters = entry.get('ros__parameters', {})
+            if 'gravity_magnitude' in parameters:
+                return Gravity(
+                    parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
+                )
+    return None

@@ -1,0 +1,138 @@
+"""Static equilibria of the compressed system and the constant force that comes nearest a target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from dpc_ros.reduction import CompressedSystem
+
+_TOLERANCE = 1e-7  # N per latent unit, on the gradient of the potential at an equilibrium
+_RESOLUTION = 1e-12  # relative decrease that the potential still resolves in float64
+_NEWTON_ITERATIONS = 100
+_LARGEST_FORCE_STEP = 0.5  # N between two equilibria of one continuation
+_FORCE_TOLERANCE = 1e-7  # N
+_SEARCH_ITERATIONS = 100
+_SMALLEST_CURVATURE = 1e-6  # relative to the largest, below which Newton's step is regularised
+
+
+class EquilibriumError(ValueError):
+    """No static equilibrium was found."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeedForward:
+    """A constant force and what it holds.
+
+    Attributes:
+        force: u* [N].
+        latent: ξ_eq(u*), the stable static equilibrium of the compressed system under it.
+        distance: root mean square of D(ξ_eq(u*)) − q̄ over the coordinates [m].
+    """
+
+    force: Float[np.ndarray, ' 2']
+    latent: Float[np.ndarray, ' m']
+    distance: float
+
+
+def reduced_equilibrium(
+    system: CompressedSystem,
+    force: Float[np.ndarray, ' 2'],
+    start: Float[np.ndarray, ' m'],
+) -> Float[np.ndarray, ' m']:
+    """Return a stable static equilibrium ξ of the compressed system under a constant force.
+
+    Minimises V_η(ξ) − uᵀGᵀD(ξ) from `start` by Newton steps with backtracking, in which negative
+    curvature counts by its absolute value: a minimum comes out, never a saddle.
+
+    Args:
+        system: the compressed system.
+        force: u [N].
+        start: latent to begin from; the equilibrium of a nearby force.
+
+    Raises:
+        EquilibriumError: no convergence within the bound on iterations.
+    """
+    latent = np.array(start, dtype=float)
+    for _ in range(_NEWTON_ITERATIONS):
+        value = system.potential(latent, force)
+        gradient = system.potential_gradient(latent, force)
+        direction = _newton_direction(gradient, system.potential_hessian(latent, force))
+        decrease = -float(gradient @ direction)
+        if decrease <= _RESOLUTION * max(abs(value), 1.0):
+            latent = latent + direction
+            break
+        scale = 1.0
+        while system.potential(latent + scale * direction, force) > value - 1e-4 * scale * decrease:
+            scale *= 0.5
+        latent = latent + scale * direction
+    residual = np.abs(system.potential_gradient(latent, force)).max()
+    if residual > _TOLERANCE:
+        raise EquilibriumError(
+            f'no static equilibrium under the force {np.round(force, 3).tolist()} N: the gradient '
+            f'of the potential stays at {residual:.1e}; is the force beyond the training data?'
+        )
+    return latent
+
+
+def _newton_direction(
+    gradient: Float[np.ndarray, ' m'], hessian: Float[np.ndarray, 'm m']
+) -> Float[np.ndarray, ' m']:
+    curvature, modes = np.linalg.eigh(hessian)
+    curvature = np.maximum(np.abs(curvature), _SMALLEST_CURVATURE * np.abs(curvature).max())
+    return -modes @ ((modes.T @ gradient) / curvature)
+
+
+def feed_forward(
+    system: CompressedSystem, target: Float[np.ndarray, ' n'], largest_force: float = np.inf
+) -> FeedForward:
+    """Return u* = argmin_u |D(ξ_eq(u)) − q̄|, with ξ_eq(u) continued from rest (DESIGN section 3).
+
+    Levenberg–Marquardt over the two components of the force. Each trial's equilibrium continues
+    from the present one, and no step is longer than a bound, so that the search follows one branch
+    of stable equilibria from the unforced one. Its slope is ∂ξ_eq/∂u = (∇²V_η)⁻¹Γ.
+
+    Args:
+        system: the compressed system.
+        target: q̄ [m].
+        largest_force: bound on |u| [N].
+
+    Raises:
+        EquilibriumError: the body has no stable unforced equilibrium near rest.
+    """
+    rest = system.autoencoder.encode(system.mechanics.network.rest_configuration)
+    force = np.zeros(2)
+    latent = reduced_equilibrium(system, force, rest)
+    residual = system.autoencoder.decode(latent) - target
+    damping = 1e-3
+    for _ in range(_SEARCH_ITERATIONS):
+        slope = _equilibrium_slope(system, latent, force)
+        normal = slope.T @ slope
+        step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(2), slope.T @ residual)
+        step *= min(1.0, _LARGEST_FORCE_STEP / max(np.linalg.norm(step), 1e-300))
+        trial = force + step
+        trial *= min(1.0, largest_force / max(np.linalg.norm(trial), 1e-300))
+        if np.linalg.norm(trial - force) < _FORCE_TOLERANCE:
+            break
+        try:
+            trial_latent = reduced_equilibrium(system, trial, latent)
+        except EquilibriumError:
+            damping *= 4.0
+            continue
+        trial_residual = system.autoencoder.decode(trial_latent) - target
+        if trial_residual @ trial_residual < residual @ residual:
+            force, latent, residual = trial, trial_latent, trial_residual
+            damping = max(damping / 4.0, 1e-9)
+        else:
+            damping *= 4.0
+    return FeedForward(force, latent, float(np.sqrt(np.mean(residual**2))))
+
+
+def _equilibrium_slope(
+    system: CompressedSystem, latent: Float[np.ndarray, ' m'], force: Float[np.ndarray, ' 2']
+) -> Float[np.ndarray, 'n 2']:
+    jacobian = system.autoencoder.decoder_jacobian(latent)
+    hessian = system.potential_hessian(latent, force)
+    return jacobian @ np.linalg.solve(hessian, system.input_field(latent))

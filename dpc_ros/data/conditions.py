@@ -1,0 +1,73 @@
+"""Conditions of the paper's simulations: the gravity of each and where it starts from."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+from dpc_ros.network import Gravity
+from dpc_ros.resources import config_path
+
+STARTS = ('rest', 'continue', 'previous_end')
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One simulation: number, part of the data that it belongs to, gravity, start.
+
+    Attributes:
+        simulation: its number.
+        split: `train`, `validation`, `test` or `outside` (a test beyond the training range, which
+            is simulated because the next one starts from its end, but is not measured on).
+        gravity: the field over the whole simulation.
+        start: `rest`; `continue`, from the last state of the one before, velocity included; or
+            `previous_end`, from its last position, at rest.
+    """
+
+    simulation: int
+    split: str
+    gravity: Gravity
+    start: str
+
+
+def load_conditions(path: str | Path) -> list[Condition]:
+    """Read conditions from a CSV file in the form of `config/systems/*_conditions.csv`.
+
+    Raises:
+        ValueError: a column is missing, a value can't be read or a start is unknown.
+    """
+    conditions = []
+    with Path(path).open(newline='') as file:
+        for line, row in enumerate(csv.DictReader(file), start=2):
+            try:
+                conditions.append(_condition(row))
+            except (KeyError, TypeError, ValueError) as error:
+                raise ValueError(f'{path}, line {line}: {error!r} in {dict(row)}') from error
+    if not conditions or conditions[0].start != 'rest':
+        raise ValueError(f'{path}: expected at least one condition, the first starting from rest')
+    return conditions
+
+
+def training_conditions() -> list[Condition]:
+    """Return the paper's simulations 1–5 (training) and 6–7 (validation)."""
+    return load_conditions(config_path('systems', 'training_conditions.csv'))
+
+
+def test_conditions() -> list[Condition]:
+    """Return the paper's test simulations, the 28 measured ones with split `test`."""
+    return load_conditions(config_path('systems', 'test_conditions.csv'))
+
+
+test_conditions.__test__ = False  # type: ignore[attr-defined]  # pytest takes it for a test
+
+
+def _condition(row: dict[str, str]) -> Condition:
+    if 'split' in row:
+        split = row['split']
+    else:
+        split = 'test' if int(row['in_paper_28']) else 'outside'
+    if row['start'] not in STARTS:
+        raise ValueError(f'start {row["start"]!r}: expected one of {STARTS}')
+    gravity = Gravity(float(row['gravity_m_s2']), float(row['angle_rad']))
+    return Condition(int(row['simulation']), split, gravity, row['start'])

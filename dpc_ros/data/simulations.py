@@ -1,0 +1,46 @@
+"""Trajectories of a network under a list of conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dpc_ros.data.conditions import Condition
+from dpc_ros.network import Integrator, MassSpringNetwork, Mechanics, Trajectory, simulate
+
+DURATION = 5.0  # s, of every simulation of the paper
+STEP = 0.005  # s
+
+
+def simulate_conditions(
+    network: MassSpringNetwork,
+    conditions: Sequence[Condition],
+    duration: float = DURATION,
+    step: float = STEP,
+    method: str = 'rk4',
+) -> Iterator[tuple[Condition, Trajectory]]:
+    """Simulate the conditions in their order, without any input force.
+
+    Args:
+        network: the body.
+        conditions: what to simulate; the first starts from rest.
+        duration: of each simulation [s].
+        step: of the integration [s].
+        method: a key of `INTEGRATORS`.
+
+    Yields:
+        each condition with its trajectory of duration/step + 1 states.
+    """
+    steps = round(duration / step)
+    at_rest = np.zeros(network.configuration_size)
+    configuration, velocity = network.rest_configuration, at_rest
+    for condition in conditions:
+        if condition.start == 'rest':
+            configuration, velocity = network.rest_configuration, at_rest
+        elif condition.start == 'previous_end':
+            velocity = at_rest
+        integrator = Integrator(Mechanics(network, condition.gravity), step, method)
+        trajectory = simulate(integrator, configuration, velocity, steps)
+        configuration, velocity = trajectory.configuration[-1], trajectory.velocity[-1]
+        yield condition, trajectory

@@ -1,0 +1,246 @@
+"""Compiled loops over springs and masses.
+
+Positions stand in one array of all masses with the mobile ones first, so that its head *is* the
+configuration. Every kernel is pure float64 without reassociation: the same input gives the same
+bits in every process of one machine.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+
+class NetworkArrays(NamedTuple):
+    """What the kernels need of a network; masses renumbered, mobile first."""
+
+    first: np.ndarray  # (springs,) int64, mass at one end
+    second: np.ndarray  # (springs,) int64, mass at the other end
+    stiffness: np.ndarray  # (springs,) [N/m]
+    rest_length: np.ndarray  # (springs,) [m]
+    damping: np.ndarray  # (springs,) [N s/m]
+    background_vector: np.ndarray  # (springs, 2) c d⁰ [m]
+    background_stiffness: float  # k_s [N/m]
+    mobile_mass: np.ndarray  # (mobile,) [kg]
+    fixed_position: np.ndarray  # (fixed, 2) [m]
+
+
+@njit(cache=True)
+def place(network, configuration):
+    """Return the positions of all masses, (masses, 2), for a configuration (n,)."""
+    mobile = network.mobile_mass.shape[0]
+    fixed = network.fixed_position.shape[0]
+    position = np.empty((mobile + fixed, 2))
+    for i in range(mobile):
+        position[i, 0] = configuration[2 * i]
+        position[i, 1] = configuration[2 * i + 1]
+    for i in range(fixed):
+        position[mobile + i, 0] = network.fixed_position[i, 0]
+        position[mobile + i, 1] = network.fixed_position[i, 1]
+    return position
+
+
+@njit(cache=True)
+def elastic_energy(network, configuration):
+    """Σ ½k(|d| − l)² + ½k_s Σ |d − c d⁰|² [J]."""
+    position = place(network, configuration)
+    energy = 0.0
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
+        stretch = np.sqrt(dx * dx + dy * dy) - network.rest_length[j]
+        bx = dx - network.background_vector[j, 0]
+        by = dy - network.background_vector[j, 1]
+        energy += 0.5 * network.stiffness[j] * stretch * stretch
+        energy += 0.5 * network.background_stiffness * (bx * bx + by * by)
+    return energy
+
+
+@njit(cache=True)
+def gravitational_energy(network, gravity, configuration):
+    """−Σ m g·x over the mobile masses [J]."""
+    energy = 0.0
+    for i in range(network.mobile_mass.shape[0]):
+        work = gravity[0] * configuration[2 * i] + gravity[1] * configuration[2 * i + 1]
+        energy -= network.mobile_mass[i] * work
+    return energy
+
+
+@njit(cache=True)
+def kinetic_energy(network, velocity):
+    """½ q̇ᵀMq̇ [J]."""
+    energy = 0.0
+    for i in range(network.mobile_mass.shape[0]):
+        square = velocity[2 * i] * velocity[2 * i] + velocity[2 * i + 1] * velocity[2 * i + 1]
+        energy += 0.5 * network.mobile_mass[i] * square
+    return energy
+
+
+@njit(cache=True)
+def potential_gradient(network, gravity, configuration):
+    """∇V(q), (n,) [N]."""
+    position = place(network, configuration)
+    mobile = network.mobile_mass.shape[0]
+    gradient = np.empty(2 * mobile)
+    for i in range(mobile):
+        gradient[2 * i] = -network.mobile_mass[i] * gravity[0]
+        gradient[2 * i + 1] = -network.mobile_mass[i] * gravity[1]
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
+        fx, fy = _spring_gradient(network, j, dx, dy)
+        if a < mobile:
+            gradient[2 * a] += fx
+            gradient[2 * a + 1] += fy
+        if b < mobile:
+            gradient[2 * b] -= fx
+            gradient[2 * b + 1] -= fy
+    return gradient
+
+
+@njit(cache=True, inline='always')
+def _spring_gradient(network, j, dx, dy):
+    length = np.sqrt(dx * dx + dy * dy)
+    pull = 0.0
+    if length > 0.0:
+        pull = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
+    fx = pull * dx + network.background_stiffness * (dx - network.background_vector[j, 0])
+    fy = pull * dy + network.background_stiffness * (dy - network.background_vector[j, 1])
+    return fx, fy
+
+
+@njit(cache=True)
+def potential_hessian(network, configuration):
+    """∇²V(q), (n, n) dense [N/m]."""
+    position = place(network, configuration)
+    mobile = network.mobile_mass.shape[0]
+    hessian = np.zeros((2 * mobile, 2 * mobile))
+    block = np.empty((2, 2))
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        along = 0.0
+        across = network.stiffness[j]
+        if length > 0.0:
+            across = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
+            along = network.stiffness[j] * network.rest_length[j] / (length * length * length)
+        diagonal = across + network.background_stiffness
+        block[0, 0] = diagonal + along * dx * dx
+        block[0, 1] = along * dx * dy
+        block[1, 0] = block[0, 1]
+        block[1, 1] = diagonal + along * dy * dy
+        for r in range(2):
+            for c in range(2):
+                if a < mobile:
+                    hessian[2 * a + r, 2 * a + c] += block[r, c]
+                if b < mobile:
+                    hessian[2 * b + r, 2 * b + c] += block[r, c]
+                if a < mobile and b < mobile:
+                    hessian[2 * a + r, 2 * b + c] -= block[r, c]
+                    hessian[2 * b + r, 2 * a + c] -= block[r, c]
+    return hessian
+
+
+@njit(cache=True)
+def damping_force(network, velocity):
+    """C q̇, (n,) [N], with C = Bᵀ diag(d) B: isotropic on the relative velocity."""
+    mobile = network.mobile_mass.shape[0]
+    force = np.zeros(2 * mobile)
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        wx, wy = _relative_velocity(velocity, mobile, a, b)
+        fx = network.damping[j] * wx
+        fy = network.damping[j] * wy
+        if a < mobile:
+            force[2 * a] += fx
+            force[2 * a + 1] += fy
+        if b < mobile:
+            force[2 * b] -= fx
+            force[2 * b + 1] -= fy
+    return force
+
+
+@njit(cache=True, inline='always')
+def _relative_velocity(velocity, mobile, a, b):
+    wx = 0.0
+    wy = 0.0
+    if a < mobile:
+        wx += velocity[2 * a]
+        wy += velocity[2 * a + 1]
+    if b < mobile:
+        wx -= velocity[2 * b]
+        wy -= velocity[2 * b + 1]
+    return wx, wy
+
+
+@njit(cache=True)
+def damping_matrix(network):
+    """C = Bᵀ diag(d) B, (n, n) dense [N s/m]."""
+    mobile = network.mobile_mass.shape[0]
+    matrix = np.zeros((2 * mobile, 2 * mobile))
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        for r in range(2):
+            if a < mobile:
+                matrix[2 * a + r, 2 * a + r] += network.damping[j]
+            if b < mobile:
+                matrix[2 * b + r, 2 * b + r] += network.damping[j]
+            if a < mobile and b < mobile:
+                matrix[2 * a + r, 2 * b + r] -= network.damping[j]
+                matrix[2 * b + r, 2 * a + r] -= network.damping[j]
+    return matrix
+
+
+@njit(cache=True)
+def acceleration(network, gravity, configuration, velocity, force):
+    """q̈ = M⁻¹(−∇V(q) − C q̇ + f), (n,) [m/s²], with f the external force (n,) [N]."""
+    position = place(network, configuration)
+    mobile = network.mobile_mass.shape[0]
+    total = force.copy()
+    for j in range(network.first.shape[0]):
+        a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
+        fx, fy = _spring_gradient(network, j, dx, dy)
+        wx, wy = _relative_velocity(velocity, mobile, a, b)
+        fx += network.damping[j] * wx
+        fy += network.damping[j] * wy
+        if a < mobile:
+            total[2 * a] -= fx
+            total[2 * a + 1] -= fy
+        if b < mobile:
+            total[2 * b] += fx
+            total[2 * b + 1] += fy
+    for i in range(mobile):
+        total[2 * i] = total[2 * i] / network.mobile_mass[i] + gravity[0]
+        total[2 * i + 1] = total[2 * i + 1] / network.mobile_mass[i] + gravity[1]
+    return total
+
+
+@njit(cache=True)
+def rk4_step(network, gravity, configuration, velocity, force, step):
+    """Classical Runge–Kutta step of order four, the force held over it."""
+    half = 0.5 * step
+    a1 = acceleration(network, gravity, configuration, velocity, force)
+    v2 = velocity + half * a1
+    a2 = acceleration(network, gravity, configuration + half * velocity, v2, force)
+    v3 = velocity + half * a2
+    a3 = acceleration(network, gravity, configuration + half * v2, v3, force)
+    v4 = velocity + step * a3
+    a4 = acceleration(network, gravity, configuration + step * v3, v4, force)
+    sixth = step / 6.0
+    return (
+        configuration + sixth * (velocity + 2.0 * v2 + 2.0 * v3 + v4),
+        velocity + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
+    )
+
+
+@njit(cache=True)
+def symplectic_euler_step(network, gravity, configuration, velocity, force, step):
+    """Symplectic Euler step of order one: velocity first, then position with the new velocity."""
+    new_velocity = velocity + step * acceleration(network, gravity, configuration, velocity, force)
+    return configuration + step * new_velocity, new_velocity

@@ -1,0 +1,32 @@
+"""The last answer of a node, kept so that a stamp is answered the same way however often it comes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class Answers:
+    """Remembers the newest question with its stamp and answer; sees when stamps begin anew.
+
+    Stamps of one simulator rise for ever, and a reliable connection keeps their order. A stamp that
+    falls back therefore means that another simulator has begun: a new epoch.
+    """
+
+    def __init__(self) -> None:
+        self._stamp = -1
+        self._question: Any = None
+        self._answer: Any = None
+
+    def repeated(self, stamp: int, question: Any) -> Any:
+        """Return the answer already given to the same question at the same stamp [ns], or none."""
+        return self._answer if stamp == self._stamp and question == self._question else None
+
+    def starts_epoch(self, stamp: int) -> bool:
+        """Return whether a stamp [ns] lies before the newest one."""
+        return stamp < self._stamp
+
+    def remember(self, stamp: int, question: Any, answer: Any) -> None:
+        """Keep the answer to a question at a stamp [ns] as the newest."""
+        self._stamp = stamp
+        self._question = question
+        self._answer = answer

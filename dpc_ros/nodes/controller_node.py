@@ -1,0 +1,140 @@
+"""Controller node: (ξ, ξ̇) on `latent_state` becomes the force on `control_force`."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.context import Context
+from sensor_msgs.msg import JointState
+
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.control import EquilibriumError, Target, TargetSchedule, load_target, make_law
+from dpc_ros.network import Gravity, Mechanics, load_network
+from dpc_ros.nodes.answers import Answers
+from dpc_ros.nodes.loop_node import LoopNode, run_node
+from dpc_ros.nodes.messages import (
+    MessageError,
+    force_message,
+    from_stamp,
+    latent_names,
+    read_state,
+    read_target,
+    target_message,
+)
+from dpc_ros.reduction import CompressedSystem
+
+
+class ControllerNode(LoopNode):
+    """Answers each latent state with the force of its control law."""
+
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__('controller', context)
+
+    def configure(self) -> None:
+        settings = self.settings
+        network = load_network(settings['network'])
+        checkpoint = load_checkpoint(settings['checkpoint'])
+        checkpoint.check_network(network)
+        gravity = Gravity(settings['gravity_magnitude'], settings['gravity_angle'])
+        system = CompressedSystem(
+            Mechanics(network, gravity), checkpoint.autoencoder(), settings['actuated_mass']
+        )
+        self._law = make_law(
+            settings['law'],
+            system,
+            settings['proportional_gain'],
+            settings['derivative_gain'],
+            settings['largest_force'],
+        )
+        self._network = network
+        self._identifier = checkpoint.identifier
+        self._names = latent_names(system.latent_size)
+        self._mass = settings['actuated_mass']
+        self._answers = Answers()
+        self._schedule = TargetSchedule()
+        self._seen_target: Target | None = None
+        self._regulates = False
+        self._first_target: Target | None = None
+        if settings['target']:
+            self._first_target = load_target(settings['target'], network)
+            self._law.regulate(self._first_target)  # a bad target is refused now; warms up, too
+        self._control_force = self.create_output('control_force')
+        self._target_publisher = self.create_output('target') if self._first_target else None
+        self._inputs = [
+            self.create_input('latent_state', self._control),
+            self.create_input('target', self._take_target),
+        ]
+
+    def activate(self) -> None:
+        if self._first_target is None:
+            self.say('waiting for a target on the topic')
+        elif self._target_publisher is not None:
+            self._target_publisher.publish(
+                target_message(self._first_target, self._network.identifier)
+            )
+
+    def clean_up(self) -> None:
+        for subscription in getattr(self, '_inputs', []):
+            self.destroy_subscription(subscription)
+
+    def _take_target(self, message: JointState) -> None:
+        try:
+            target = read_target(message, self._network.coordinate_names, len(self._names))
+        except MessageError as error:
+            self.reject('target', error)
+            return
+        self._schedule.add(from_stamp(message.header.stamp), target)
+
+    def _control(self, message: JointState, info: dict[str, int]) -> None:
+        if not self.active:
+            return
+        begin = time.perf_counter()
+        self.health.received += 1
+        self.health.sequence.add(info['publication_sequence_number'])
+        if not self.matched(self._control_force):
+            return
+        try:
+            latent, latent_velocity = read_state(message, self._identifier, self._names)
+        except MessageError as error:
+            self.reject('latent_state', error)
+            return
+        stamp = from_stamp(message.header.stamp)
+        answer = self._answers.repeated(stamp, message.position)
+        if answer is None:
+            if self._answers.starts_epoch(stamp):
+                self._schedule.restart()
+            if not self._regulate(stamp):
+                return
+            answer = force_message(
+                message.header.stamp, self._mass, self._law.force(latent, latent_velocity)
+            )
+            self._answers.remember(stamp, message.position, answer)
+        else:
+            self.health.repeated += 1
+        self.publish(self._control_force, answer)
+        self.health.processed(time.perf_counter() - begin)
+
+    def _regulate(self, stamp: int) -> bool:
+        """Give the law the target in force; return whether it has ever had one that it can use."""
+        target = self._schedule.in_force(stamp)
+        if target is None:
+            self.say('waiting for a target on the topic')
+        elif target is not self._seen_target:
+            self._seen_target = target
+            try:
+                self._law.regulate(target)
+                self._regulates = True
+            except EquilibriumError as error:
+                self.reject('target', MessageError(str(error)))
+        return self._regulates
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node as a process."""
+    sys.exit(run_node(ControllerNode, arguments))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,85 @@
+"""What a node knows of its own health, and its report on /diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+_LATENCY_WINDOW = 1000  # messages
+
+
+class SequenceCounter:
+    """Counts messages that a publisher numbered but that never came.
+
+    Numbers start anew when another publisher takes over the topic.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._last: int | None = None
+
+    def add(self, number: int) -> None:
+        """Take the publication sequence number of a message that came."""
+        if self._last is not None and number > self._last + 1:
+            self.lost += number - self._last - 1
+        self._last = number
+
+
+class Health:
+    """Counts since start, and rates since the last report."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.published = 0
+        self.repeated = 0
+        self.rejected: Counter[str] = Counter()
+        self.sequence = SequenceCounter()
+        self.warning = ''
+        self._processing: list[float] = []
+        self._reported = (time.monotonic(), 0)
+
+    def processed(self, seconds: float) -> None:
+        """Note how long an answer took [s]."""
+        self._processing.append(seconds)
+        del self._processing[:-_LATENCY_WINDOW]
+
+    def report(self, name: str, hardware_id: str, state: str) -> DiagnosticStatus:
+        """Return the status since the last report."""
+        now = time.monotonic()
+        since, published = self._reported
+        rate = (self.published - published) / max(now - since, 1e-9)
+        self._reported = (now, self.published)
+        values: dict[str, Any] = {
+            'state': state,
+            'rate [Hz]': f'{rate:.1f}',
+            'received': self.received,
+            'published': self.published,
+            'repeated': self.repeated,
+            'lost': self.sequence.lost,
+            **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
+        }
+        if self._processing:
+            ordered = sorted(self._processing)
+            values['processing p50 [ms]'] = f'{1e3 * ordered[len(ordered) // 2]:.3f}'
+            values['processing max [ms]'] = f'{1e3 * ordered[-1]:.3f}'
+        level, message = DiagnosticStatus.OK, state
+        if self.rejected or self.sequence.lost or self.warning:
+            level = DiagnosticStatus.WARN
+            message = self.warning or 'messages were rejected or lost'
+        return DiagnosticStatus(
+            level=level,
+            name=name,
+            message=message,
+            hardware_id=hardware_id,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+
+def diagnostic_array(stamp: Any, status: DiagnosticStatus) -> DiagnosticArray:
+    """Return the message of one status."""
+    message = DiagnosticArray(status=[status])
+    message.header.stamp = stamp
+    return message

@@ -1,0 +1,165 @@
+"""What the launcher starts: the parameters of each node, merged and checked before anything runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dpc_ros.nodes.parameters import ParameterError, declarations
+
+LOOP = ('simulator', 'encoder', 'controller')
+RECORDER = 'recorder'
+_STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
+_READERS = {'simulator': ('encoder',), 'encoder': ('controller',), 'controller': ('simulator',)}
+_OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
+MONITORED = ('configuration', 'control_force')  # topics that the launcher itself reads
+
+
+@dataclass(frozen=True)
+class LaunchPlan:
+    """Parameters by node, and where the run is kept.
+
+    Attributes:
+        parameters: of each node that is started, every value given explicitly.
+        folder: of the run: parameters, logs of the nodes, bag, figure.
+        namespace: of all nodes and topics.
+    """
+
+    parameters: Mapping[str, Mapping[str, Any]]
+    folder: Path
+    namespace: str
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Kinds of the nodes, the recorder first: it misses nothing."""
+        return tuple(self.parameters)
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of the run [s], infinite where it has no end."""
+        return self.parameters['simulator']['duration'] or math.inf
+
+    @property
+    def parameters_file(self) -> Path:
+        """The parameter file that every node is given."""
+        return self.folder / 'parameters.yaml'
+
+    @property
+    def bag(self) -> Path | None:
+        """Folder of the log, none without a recorder."""
+        return Path(self.parameters[RECORDER]['bag']) if RECORDER in self.parameters else None
+
+    def write(self) -> None:
+        """Make the run's folder with its parameter file.
+
+        Raises:
+            FileExistsError: the folder exists.
+        """
+        self.folder.mkdir(parents=True)
+        content = {
+            f'/**/{node}': {'ros__parameters': dict(values)}
+            for node, values in self.parameters.items()
+        }
+        self.parameters_file.write_text(yaml.safe_dump(content, sort_keys=False))
+
+    def ros_arguments(self) -> list[str]:
+        """Return the arguments that hand the parameters to a process."""
+        arguments = ['--ros-args', '--params-file', str(self.parameters_file)]
+        return [*arguments, '-r', f'__ns:={self.namespace}'] if self.namespace != '/' else arguments
+
+
+def make_plan(
+    config: Path,
+    overrides: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    namespace: str = '/',
+    record: bool = True,
+) -> LaunchPlan:
+    """Merge a parameter file with overrides and check every value.
+
+    Args:
+        config: a ROS 2 parameter file with the sections `/**`, `simulator`, `encoder`, ….
+        overrides: values by node that win over the file.
+        folder: of the run; must not exist yet.
+        namespace: of all nodes.
+        record: whether a recorder is started.
+
+    Raises:
+        FileExistsError: the folder exists.
+        FileNotFoundError: there is no such parameter file.
+        ParameterError: a section or parameter is unknown, of the wrong type or out of range.
+    """
+    if folder.exists():
+        raise FileExistsError(f'{folder} exists already: choose another --output')
+    sections = _read_sections(config)
+    nodes = ((RECORDER,) if record else ()) + LOOP
+    _check_known(config, sections, overrides)
+    folder = folder.resolve()
+    defaults: dict[str, dict[str, Any]] = {
+        'simulator': {'startup_timeout': _STARTUP_TIMEOUT},
+        RECORDER: {
+            'bag': str(folder / 'bag'),
+            'parameters_file': str(folder / 'parameters.yaml'),
+        },
+    }
+    parameters: dict[str, dict[str, Any]] = {}
+    for node in nodes:
+        given = {**defaults.get(node, {}), **sections.get('/**', {}), **sections.get(node, {})}
+        given |= overrides.get(node, {})
+        parameters[node] = {}
+        for name, declaration in declarations(node).items():
+            try:
+                parameters[node][name] = declaration.check(given.get(name, declaration.default))
+            except ParameterError as error:
+                raise ParameterError(f'{node}: {error}') from error
+    recorded = parameters.get(RECORDER, {}).get('topics', ())
+    for node, output in _OUTPUTS.items():
+        parameters[node]['expected_subscribers'] = (
+            len(_READERS[node]) + (output in recorded) + (output in MONITORED)
+        )
+    return LaunchPlan(parameters, folder, namespace)
+
+
+def _read_sections(config: Path) -> dict[str, dict[str, Any]]:
+    if not config.is_file():
+        raise FileNotFoundError(f'no parameter file {config}')
+    try:
+        content = yaml.safe_load(config.read_text()) or {}
+        return {
+            section.removeprefix('/**/').lstrip('/') if section != '/**' else section: dict(
+                entry['ros__parameters']
+            )
+            for section, entry in content.items()
+        }
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ParameterError(
+            f'{config}: expected a ROS 2 parameter file (node: ros__parameters: …), '
+            f'but {type(error).__name__}: {error}'
+        ) from error
+
+
+def _check_known(
+    config: Path,
+    sections: Mapping[str, Mapping[str, Any]],
+    overrides: Mapping[str, Mapping[str, Any]],
+) -> None:
+    every = {name for node in (*LOOP, RECORDER) for name in declarations(node)}
+    for origin, part in ((str(config), sections), ('the command line', overrides)):
+        for section, values in part.items():
+            if section != '/**' and section not in (*LOOP, RECORDER):
+                raise ParameterError(
+                    f'{origin}: unknown node {section!r}, expected one of '
+                    f'{", ".join((*LOOP, RECORDER))}'
+                )
+            known = every if section == '/**' else declarations(section).keys()
+            for name in values:
+                if name not in known:
+                    raise ParameterError(
+                        f'{origin}: unknown parameter {name!r}; {section} has '
+                        f'{", ".join(sorted(known))}'
+                    )

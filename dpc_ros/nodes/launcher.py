@@ -1,0 +1,200 @@
+"""Launcher: wires the nodes of the loop, shows the run, ends it cleanly and reports convergence."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import sys
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dpc_ros.bag import converge, draw, table
+from dpc_ros.nodes.controller_node import ControllerNode
+from dpc_ros.nodes.encoder_node import EncoderNode
+from dpc_ros.nodes.executor import make_executor
+from dpc_ros.nodes.launch_plan import LOOP, LaunchPlan, make_plan
+from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
+from dpc_ros.nodes.monitor import Monitor
+from dpc_ros.nodes.processes import NodeProcesses
+from dpc_ros.nodes.recorder_node import RecorderNode
+from dpc_ros.nodes.simulator_node import SimulatorNode
+from dpc_ros.nodes.stop import StopRequest
+from dpc_ros.resources import config_path
+from dpc_ros.threads import single_threaded_algebra
+
+_NODE_CLASSES: dict[str, type[LoopNode]] = {
+    'simulator': SimulatorNode,
+    'encoder': EncoderNode,
+    'controller': ControllerNode,
+    'recorder': RecorderNode,
+}
+_INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the launcher as a process."""
+    options = _parser().parse_args(arguments)
+    try:
+        plan = make_plan(
+            Path(options.config),
+            _overrides(options),
+            Path(options.output or f'runs/{datetime.datetime.now():%Y%m%d_%H%M%S}'),
+            options.namespace,
+            options.record,
+        )
+        plan.write()
+    except (ValueError, OSError) as error:
+        sys.exit(_complain(str(error), 2))
+    sys.exit(launch(plan, options.composed))
+
+
+def launch(plan: LaunchPlan, composed: bool) -> int:
+    """Run a plan to its end and report.
+
+    Args:
+        plan: what to start.
+        composed: all nodes in this process rather than one process each.
+
+    Returns:
+        exit code: 0, that of the node that failed, or 130 after Ctrl-C.
+    """
+    arguments = plan.ros_arguments() if composed else _namespace_arguments(plan)
+    with StopRequest(arguments) as stop:
+        run = _run_composed if composed else _run_processes
+        failure, code = run(plan, stop)
+        interrupted = bool(stop)
+    if failure:
+        return _complain(failure, code)
+    if interrupted:
+        return _complain(f'stopped; what was recorded is in {plan.folder}', _INTERRUPTED)
+    return _report(plan)
+
+
+def _run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+    executor = make_executor('kept_wait_set', context=stop.context)
+    monitor = Monitor(plan, stop.context)
+    executor.add_node(monitor)
+    processes = NodeProcesses(plan)
+    try:
+        processes.start()
+        spin_until(executor, lambda: _tick(monitor) or bool(stop) or processes.is_over())
+    finally:
+        processes.stop()
+        monitor.close()
+        executor.shutdown()
+        monitor.destroy_node()
+    return processes.failure, processes.exit_code
+
+
+def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+    executor = make_executor('kept_wait_set', context=stop.context)
+    monitor = Monitor(plan, stop.context)
+    executor.add_node(monitor)
+    nodes: dict[str, LoopNode] = {}
+    single_threaded_algebra()
+    try:
+        for kind in plan.nodes:
+            nodes[kind] = _NODE_CLASSES[kind](stop.context)
+            executor.add_node(nodes[kind])
+            nodes[kind].start()
+
+        def is_over() -> bool:
+            _tick(monitor)
+            failed = any(node.failure for node in nodes.values())
+            return bool(stop) or failed or nodes['simulator'].finished
+
+        spin_until(executor, is_over)
+        finish(executor, [nodes[kind] for kind in (*LOOP, 'recorder') if kind in nodes])
+    finally:
+        monitor.close()
+        executor.shutdown()
+        for node in (monitor, *nodes.values()):
+            node.destroy_node()
+    failures = [f'{kind}: {node.failure}' for kind, node in nodes.items() if node.failure]
+    return (failures[0], 1) if failures else ('', 0)
+
+
+def _tick(monitor: Monitor) -> bool:
+    monitor.refresh()
+    return False
+
+
+def _report(plan: LaunchPlan) -> int:
+    if plan.bag is None:
+        print(f'parameters  {plan.parameters_file}')
+        return 0
+    convergence, notes = converge(
+        plan.bag,
+        plan.parameters['simulator']['network'],
+        plan.parameters['encoder']['checkpoint'],
+    )
+    figure = plan.folder / 'convergence.png'
+    draw(convergence, figure)
+    print(table(convergence))
+    for note in notes:
+        print(note)
+    print()
+    print(f'figure      {figure}')
+    print(f'log         {plan.bag}')
+    print(f'parameters  {plan.parameters_file}')
+    return 0
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    overrides: dict[str, dict[str, Any]] = {}
+    for item in options.set:
+        name, equals, value = item.partition('=')
+        node, dot, parameter = name.partition('.')
+        if not (equals and dot and parameter):
+            raise ValueError(f'--set {item}: expected <node>.<parameter>=<value>')
+        overrides.setdefault(node, {})[parameter] = yaml.safe_load(value)
+    if options.target is not None:
+        overrides.setdefault('controller', {})['target'] = options.target
+    if options.duration is not None:
+        overrides.setdefault('simulator', {})['duration'] = options.duration
+    if options.realtime:
+        overrides.setdefault('simulator', {})['time_mode'] = 'realtime'
+    return overrides
+
+
+def _namespace_arguments(plan: LaunchPlan) -> list[str]:
+    if plan.namespace == '/':
+        return []
+    return ['--ros-args', '-r', f'__ns:={plan.namespace}']
+
+
+def _complain(text: str, code: int) -> int:
+    print(f'error: {text}', file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='launcher', description=__doc__)
+    parser.add_argument(
+        '--config', default=str(config_path('demo.yaml')), help='ROS 2 parameter file of the run'
+    )
+    parser.add_argument(
+        '--target', help='simulation:<number>@<step>, rest, or a JSON file with a target'
+    )
+    parser.add_argument('--duration', type=float, help='simulated time [s]; 0 runs until Ctrl-C')
+    parser.add_argument('--realtime', action='store_true', help='by the wall clock, not lockstep')
+    parser.add_argument('--output', help='folder of the run, new; default runs/<date>_<time>')
+    parser.add_argument('--composed', action='store_true', help='all nodes in one process')
+    parser.add_argument(
+        '--no-record', dest='record', action='store_false', help='write no log, show no table'
+    )
+    parser.add_argument('--namespace', default='/', help='of all nodes and topics, as /body_2')
+    parser.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NODE.PARAMETER=VALUE',
+        help='override one parameter; may be given several times',
+    )
+    return parser
+
+
+if __name__ == '__main__':
+    main()

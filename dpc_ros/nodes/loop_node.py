@@ -1,0 +1,221 @@
+"""What the nodes share: parameters, lifecycle with reasons, health, a clean start and end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+
+from dpc_ros.nodes.executor import make_executor
+from dpc_ros.nodes.health import Health, diagnostic_array
+from dpc_ros.nodes.messages import MessageError
+from dpc_ros.nodes.parameters import declare_parameters
+from dpc_ros.nodes.stop import StopRequest
+from dpc_ros.nodes.topics import TOPICS
+from dpc_ros.threads import single_threaded_algebra
+
+_DIAGNOSTIC_PERIOD = 1.0  # s
+_ACKNOWLEDGE_TIMEOUT = Duration(seconds=2)
+_SPIN_PERIOD = 0.1  # s, within which a Ctrl-C is seen
+_REPORT_INTERVAL = 5.0  # s between two log lines about the same
+
+
+class LoopNode(LifecycleNode):
+    """A lifecycle node around one object of the core.
+
+    A subclass fills in `configure` (everything slow; raises ValueError or OSError with the reason)
+    and, where it has something to do, `activate`, `deactivate`, `clean_up` and `finish`.
+
+    Attributes:
+        settings: its parameters by name.
+        health: its counts.
+        failure: why it failed; empty while all is well.
+        finished: whether it has done what it was started for.
+    """
+
+    def __init__(self, kind: str, context: Context | None = None) -> None:
+        super().__init__(kind, context=context)
+        self.settings: Mapping[str, Any] = declare_parameters(self, kind)
+        self.health = Health()
+        self.failure = ''
+        self.finished = False
+        self.active = False
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._outputs: list[Publisher] = []
+        self._matched = False
+        self._said: dict[str, float] = {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
+
+    def configure(self) -> None:
+        """Load and warm up; the node is inactive afterwards."""
+
+    def activate(self) -> None:
+        """Begin to act."""
+
+    def deactivate(self) -> None:
+        """Stop acting; a later `activate` goes on."""
+
+    def clean_up(self) -> None:
+        """Let go of what `configure` made, so that it can be called again."""
+
+    def is_drained(self) -> bool:
+        """Return whether everything that was on its way to the node has come."""
+        return True
+
+    def finish(self) -> None:
+        """Do what is left to do at the end, after the last callback."""
+
+    def start(self) -> bool:
+        """Configure and activate, where `autostart` says so; return whether that worked."""
+        if not self.settings['autostart']:
+            return True
+        success = TransitionCallbackReturn.SUCCESS
+        return self.trigger_configure() == success and self.trigger_activate() == success
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition(self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = self._transition(self.activate)
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.active = False
+        return self._transition(self.deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._clean_up()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.active = False
+        self.finished = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def create_output(self, topic: str) -> Publisher:
+        """Return the publisher of a topic of the loop."""
+        publisher = self.create_publisher(TOPICS[topic].message_type, topic, TOPICS[topic].qos)
+        self._outputs.append(publisher)
+        return publisher
+
+    def create_input(self, topic: str, callback: Callable[..., None], raw: bool = False) -> Any:
+        """Subscribe to a topic of the loop; the callback takes the message and its info."""
+        entry = TOPICS[topic]
+        return self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
+
+    def matched(self, publisher: Publisher) -> bool:
+        """Return whether a publisher has ever had the subscriptions that its node is to wait for."""
+        if not self._matched:
+            expected = self.settings['expected_subscribers']
+            found = publisher.get_subscription_count()
+            self._matched = found >= expected
+            if not self._matched:
+                self.say(
+                    f'waiting for {expected} subscriptions of {publisher.topic_name}, has {found}'
+                )
+        return self._matched
+
+    def publish(self, publisher: Publisher, message: Any) -> None:
+        """Publish and count."""
+        publisher.publish(message)
+        self.health.published += 1
+
+    def reject(self, topic: str, error: MessageError) -> None:
+        """Note a message that can't be used, and go on."""
+        self.health.rejected[f'{topic}: {error}'] += 1
+        self.say(f'rejected a message on {topic}: {error}', problem=True)
+
+    def say(self, text: str, problem: bool = False) -> None:
+        """Log a line, the same one only every few seconds."""
+        now = self._steady_clock.now().nanoseconds / 1e9
+        if now - self._said.get(text, -_REPORT_INTERVAL) < _REPORT_INTERVAL:
+            return
+        self._said[text] = now
+        if problem:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
+
+    def fail(self, reason: str) -> None:
+        """Give up: the process ends with the reason and exit code 1."""
+        self.failure = reason
+        self.active = False
+
+    def wait_until_acknowledged(self) -> None:
+        """Block until every matched subscription has what was published."""
+        for publisher in self._outputs:
+            if not publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT):
+                self.get_logger().warning(f'not all of {publisher.topic_name} was acknowledged')
+
+    def _transition(self, action: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            action()
+        except (ValueError, OSError) as error:
+            self.failure = str(error)
+            self._clean_up()
+            return TransitionCallbackReturn.FAILURE
+        self.failure = ''
+        return TransitionCallbackReturn.SUCCESS
+
+    def _clean_up(self) -> None:
+        self.clean_up()
+        for publisher in self._outputs:
+            self.destroy_publisher(publisher)
+        self._outputs.clear()
+        self._matched = False
+
+    def _report(self) -> None:
+        state = 'active' if self.active else 'inactive'
+        status = self.health.report(self.get_name(), self.get_fully_qualified_name(), state)
+        self._diagnostics.publish(diagnostic_array(self.get_clock().now().to_msg(), status))
+
+
+def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | None = None) -> int:
+    """Run one node in this process until it has finished, failed, or is told to stop.
+
+    Returns:
+        the exit code: 0 after the end or a Ctrl-C, 1 after a failure, 2 for bad parameters.
+    """
+    with StopRequest(arguments) as stop:
+        try:
+            node = make_node(stop.context)
+        except ValueError as error:
+            print(f'error: {error}', file=sys.stderr)
+            return 2
+        executor = make_executor(node.settings['executor'], context=stop.context)
+        executor.add_node(node)
+        single_threaded_algebra()
+        try:
+            if node.start():
+                spin_until(executor, lambda: bool(stop or node.failure or node.finished))
+                finish(executor, [node])
+        finally:
+            executor.shutdown()
+        if node.failure:
+            print(f'error: {node.get_name()}: {node.failure}', file=sys.stderr)
+        node.destroy_node()
+        return 1 if node.failure else 0
+
+
+def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:
+    """Run callbacks until a condition holds."""
+    while not condition():
+        executor.spin_once(timeout_sec=_SPIN_PERIOD)
+
+
+def finish(executor: Executor, nodes: list[LoopNode]) -> None:
+    """Let nodes end in order, each once it has what was on its way to it."""
+    for node in nodes:
+        node.wait_until_acknowledged()
+        spin_until(executor, node.is_drained)
+        node.finish()

@@ -1,0 +1,87 @@
+"""What the launcher shows of a running loop: time, error and force, from the topics alone."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from tqdm import tqdm
+
+from dpc_ros.nodes.launch_plan import MONITORED, LaunchPlan
+from dpc_ros.nodes.messages import from_stamp
+from dpc_ros.nodes.topics import TOPICS
+
+_REFRESH = 0.1  # s between two looks at the newest messages
+
+
+class Monitor(Node):
+    """Keeps the newest message of each topic as bytes; reads them only to refresh the bar."""
+
+    def __init__(self, plan: LaunchPlan, context: Context) -> None:
+        super().__init__('launcher', context=context)
+        self._newest: dict[str, bytes] = {}
+        self._start: np.ndarray | None = None
+        for topic in MONITORED:
+            self._subscribe(topic)
+        self._subscribe('target')
+        self._refreshed = 0.0
+        self._bar = tqdm(
+            total=plan.duration if np.isfinite(plan.duration) else None,
+            desc='waiting for the nodes',
+            unit='s',
+            bar_format='{desc}: {percentage:3.0f}%|{bar:20}| {n:.2f}/{total:.2f} s{postfix}'
+            if np.isfinite(plan.duration)
+            else '{desc}: {n:.2f} s{postfix}',
+            file=sys.stderr,
+            mininterval=_REFRESH,
+        )
+
+    def refresh(self, final: bool = False) -> None:
+        """Bring the bar up to date, at most ten times a second."""
+        now = time.monotonic()
+        if not final and now - self._refreshed < _REFRESH:
+            return
+        self._refreshed = now
+        if 'configuration' in self._newest:
+            self._show()
+        else:
+            self._bar.refresh()
+
+    def close(self) -> None:
+        """End the bar with what came last."""
+        self.refresh(final=True)
+        self._bar.close()
+
+    def _show(self) -> None:
+        state = deserialize_message(self._newest['configuration'], JointState)
+        seconds = from_stamp(state.header.stamp) / 1e9
+        self._bar.set_description('running', refresh=False)
+        self._bar.update(seconds - self._bar.n)
+        shown = []
+        configuration = np.array(state.position)
+        if 'target' in self._newest:
+            target = np.array(deserialize_message(self._newest['target'], JointState).position)
+            if self._start is not None and target.shape == configuration.shape:
+                begin = np.sum((self._start - target) ** 2)
+                nmse = np.sum((configuration - target) ** 2) / begin if begin else np.nan
+                shown.append(f'nMSE {nmse:.4f}')
+        if 'control_force' in self._newest:
+            force = deserialize_message(self._newest['control_force'], WrenchStamped).wrench.force
+            shown.append(f'|u| {np.hypot(force.x, force.y):.2f} N')
+        self._bar.set_postfix_str('  '.join(shown), refresh=True)
+
+    def _subscribe(self, topic: str) -> None:
+        def keep(data: bytes) -> None:
+            # the first configuration is what the error is normalised by
+            if topic == 'configuration' and topic not in self._newest:
+                self._start = np.array(deserialize_message(data, JointState).position)
+            self._newest[topic] = data
+
+        entry = TOPICS[topic]
+        self.create_subscription(entry.message_type, topic, keep, entry.qos, raw=True)

@@ -1,0 +1,114 @@
+"""Recorder node: the topics of the loop, as they come, into a rosbag2 bag (MCAP)."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+from rclpy.context import Context
+from rclpy.qos import QoSProfile as RclpyQoS
+
+from dpc_ros.bag import PARAMETERS_RECORD, BagWriter, QosProfile, Topic
+from dpc_ros.nodes.health import SequenceCounter
+from dpc_ros.nodes.loop_node import LoopNode, run_node
+from dpc_ros.nodes.message_definition import message_definition, message_type_name
+from dpc_ros.nodes.topics import TOPICS
+
+_QUIET = 0.2  # s without a message after which nothing more is on its way
+
+
+class RecorderNode(LoopNode):
+    """Writes raw CDR bytes: nothing is deserialised, nothing is rounded."""
+
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__('recorder', context)
+
+    def configure(self) -> None:
+        settings = self.settings
+        parameters_file = settings['parameters_file']
+        parameters = Path(parameters_file).read_text() if parameters_file else ''
+        self._writer = BagWriter(
+            settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
+            ros_distro=os.environ.get('ROS_DISTRO', 'jazzy'),
+            chunk_size=settings['chunk_size'],
+        )
+        if parameters:
+            self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
+        self._sequences: dict[str, SequenceCounter] = {}
+        self._last_message: float | None = None
+        self._inputs = [
+            self.create_input(topic, partial(self._record, topic), raw=True)
+            for topic in settings['topics']
+        ]
+        self.get_logger().info(f'recording to {self._writer.folder}')
+
+    def clean_up(self) -> None:
+        for subscription in getattr(self, '_inputs', []):
+            self.destroy_subscription(subscription)
+        if hasattr(self, '_writer'):
+            self._writer.close()
+
+    def is_drained(self) -> bool:
+        """Return whether no message has come for a while since it was first asked."""
+        if self._last_message is None:
+            self._last_message = time.monotonic()
+        return time.monotonic() - self._last_message > _QUIET
+
+    def finish(self) -> None:
+        lost = sum(counter.lost for counter in self._sequences.values())
+        self.get_logger().info(
+            f'recorded {sum(self._writer.message_counts.values())} messages to '
+            f'{self._writer.folder}, {lost} lost'
+        )
+        self.clean_up()
+
+    def _record(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+        if not self.active:
+            return
+        self._last_message = time.monotonic()
+        self.health.received += 1
+        name = self.resolve_topic_name(topic)
+        if topic not in self._sequences:
+            self._sequences[topic] = SequenceCounter()
+            self._writer.add_topic(self._describe(topic, name))
+        self._sequences[topic].add(info['publication_sequence_number'])
+        self._writer.write(
+            name,
+            data,
+            log_time_ns=info['received_timestamp'],
+            publish_time_ns=info['source_timestamp'],
+            sequence=info['publication_sequence_number'],
+        )
+
+    def _describe(self, topic: str, name: str) -> Topic:
+        message_type = TOPICS[topic].message_type
+        publishers = self.get_publishers_info_by_topic(name)
+        return Topic(
+            name=name,
+            type_name=message_type_name(message_type),
+            definition=message_definition(message_type),
+            offered_qos_profiles=tuple(_offered(each.qos_profile) for each in publishers),
+            type_hash=str(publishers[0].topic_type_hash) if publishers else '',
+        )
+
+
+def _offered(qos: RclpyQoS) -> QosProfile:
+    return QosProfile(
+        history=qos.history.short_key,
+        depth=qos.depth,
+        reliability=qos.reliability.short_key,
+        durability=qos.durability.short_key,
+    )
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node as a process."""
+    sys.exit(run_node(RecorderNode, arguments))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,255 @@
+"""Simulator node: integrates the body under `control_force` and publishes its `configuration`."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import SetBool, Trigger
+
+from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
+from dpc_ros.nodes.loop_node import LoopNode, run_node
+from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
+
+_NANOSECONDS = 1_000_000_000
+
+
+class SimulatorNode(LoopNode):
+    """Advances the body in lockstep with the controller, or by the wall clock.
+
+    State k carries the stamp k·step, and `_awaited` is the stamp of the state published last. In
+    lockstep the force with that stamp starts the next step. In realtime the first force starts a
+    wall timer, which steps under the force that came last.
+    """
+
+    def __init__(self, context: Context | None = None) -> None:
+        super().__init__('simulator', context)
+
+    def configure(self) -> None:
+        settings = self.settings
+        network = load_network(settings['network'])
+        gravity = Gravity(settings['gravity_magnitude'], settings['gravity_angle'])
+        self._step_ns = round(_NANOSECONDS / settings['rate'])
+        integrator = Integrator(
+            Mechanics(network, gravity), self._step_ns / _NANOSECONDS, settings['integrator']
+        )
+        self._body = Body(integrator, settings['actuated_mass'])
+        self._body.advance(np.zeros(2))  # compiles the kernels
+        self._body.reset()
+        self._identifier = network.identifier
+        self._names = network.coordinate_names if settings['publish_names'] else []
+        self._last_step = round(settings['duration'] * _NANOSECONDS / self._step_ns)
+        self._realtime = settings['time_mode'] == 'realtime'
+        self._step = 0
+        self._answered = False  # the present state has been, by a force with its stamp
+        self._running = False  # a first force has come
+        self._paused = False
+        self._force = np.zeros(2)
+        self._pushes: dict[int, tuple[int, np.ndarray]] = {}
+        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._configuration = self.create_output('configuration')
+        self._clock_publisher = (
+            self.create_publisher(ClockMessage, '/clock', 1) if settings['publish_clock'] else None
+        )
+        self._inputs = [
+            self.create_input('control_force', self._take_force),
+            self.create_input('external_force', self._take_push),
+        ]
+        self._services = [
+            self.create_service(Trigger, '~/reset', self._reset),
+            self.create_service(SetBool, '~/pause', self._pause),
+            self.create_service(Trigger, '~/step', self._single_step),
+        ]
+        self._stepper = None
+        self._watchdog = None
+
+    def activate(self) -> None:
+        self._published_at = self._answered_at = self._now()
+        self._watchdog = self.create_timer(
+            self.settings['resend_interval'], self._watch, clock=self._wall
+        )
+        self._publish_state()
+
+    def deactivate(self) -> None:
+        for timer in (self._watchdog, self._stepper):
+            if timer is not None:
+                self.destroy_timer(timer)
+        self._watchdog = self._stepper = None
+        self._running = False
+
+    def clean_up(self) -> None:
+        for subscription in getattr(self, '_inputs', []):
+            self.destroy_subscription(subscription)
+        for service in getattr(self, '_services', []):
+            self.destroy_service(service)
+
+    @property
+    def _awaited(self) -> int:
+        return self._step * self._step_ns
+
+    def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
+        if not self.active:
+            return
+        self.health.received += 1
+        self.health.sequence.add(info['publication_sequence_number'])
+        try:
+            mass, force = read_force(message)
+            if mass != self._body.actuated_mass:
+                raise MessageError(f'expected mass {self._body.actuated_mass}, got {mass}')
+        except MessageError as error:
+            self.reject('control_force', error)
+            return
+        stamp = from_stamp(message.header.stamp)
+        if stamp > self._awaited:
+            self.reject('control_force', MessageError('its stamp is that of no state so far'))
+            return
+        if stamp == self._awaited and not self._answered:
+            self._answered = True
+        elif not self._realtime:
+            self.health.repeated += 1  # the answer to a state that was published twice
+            return
+        self._force = force
+        self._answered_at = self._now()
+        if self._step >= self._last_step > 0:
+            self.finished = self._answered
+        elif self._realtime:
+            self._start_stepping()
+        elif not self._paused:
+            self._advance()
+
+    def _start_stepping(self) -> None:
+        if self._running:
+            return
+        self._running = True
+        period = self._body.integrator.step / self.settings['real_time_factor']
+        self._stepper = self.create_timer(period, self._tick, clock=self._wall)
+
+    def _tick(self) -> None:
+        if self._paused or not self.active or self._step >= self._last_step > 0:
+            return
+        if self._now() - self._answered_at > self.settings['force_timeout']:
+            self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
+            self.health.warning = 'control_force is stale'
+            if self.settings['stale_force'] == 'zero':
+                self._force = np.zeros(2)
+        else:
+            self.health.warning = ''
+        self._advance()
+
+    def _advance(self) -> None:
+        self._running = True
+        self._pushes = {m: push for m, push in self._pushes.items() if push[0] > self._awaited}
+        self._body.advance(self._force, {mass: push for mass, (_, push) in self._pushes.items()})
+        if not np.isfinite(self._body.configuration).all():
+            self.fail(
+                f'the body diverged at {self._awaited / _NANOSECONDS:g} s: '
+                'lower the gains, or raise the rate'
+            )
+            return
+        self._step += 1
+        self._answered = False
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        if not self.matched(self._configuration):
+            return
+        stamp = to_stamp(self._awaited)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(ClockMessage(clock=stamp))
+        self.publish(
+            self._configuration,
+            state_message(
+                stamp, self._identifier, self._body.configuration, self._body.velocity, self._names
+            ),
+        )
+        self._published_at = self._now()
+
+    def _watch(self) -> None:
+        """Publish an unanswered state again, give up after the time-out."""
+        if not self.active or self.finished or self._paused or self._answered:
+            return
+        waiting = self._now() - self._answered_at
+        which = 'response_timeout' if self._running else 'startup_timeout'
+        limit = self.settings[which]
+        if (not self._running and limit > 0 or self._must_answer) and waiting > limit:
+            self.fail(self._timeout_reason(which, limit))
+        elif self._must_answer or not self._running:
+            if not self._running:
+                self.say('waiting for the first control_force')
+            if self._now() - self._published_at >= self.settings['resend_interval']:
+                self._publish_state()
+
+    @property
+    def _must_answer(self) -> bool:
+        """Whether the run can't go on without the force for the present state."""
+        return self._running and (not self._realtime or self._step >= self._last_step > 0)
+
+    def _timeout_reason(self, parameter: str, limit: float) -> str:
+        readers = self._configuration.get_subscription_count()
+        writers = self.count_publishers('control_force')
+        return (
+            f'no control_force for the state at {self._awaited / _NANOSECONDS:g} s within '
+            f'{parameter} = {limit:g} s (configuration has {readers} subscriptions, control_force '
+            f'{writers} publishers): are encoder and controller running, and has the controller '
+            'a target?'
+        )
+
+    def _take_push(self, message: WrenchStamped, info: dict[str, int]) -> None:
+        if not self.active:
+            return
+        try:
+            mass, force = read_force(message)
+            limit = self.settings['force_limit']
+            if np.hypot(*force) > limit:
+                raise MessageError(f'expected at most {limit:g} N, got {np.hypot(*force):g}')
+            self._body.network.mobile_index(mass)
+        except ValueError as error:
+            self.reject('external_force', MessageError(str(error)))
+            return
+        end = self._awaited + round(self.settings['external_force_timeout'] * _NANOSECONDS)
+        self._pushes[mass] = (end, force)
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._body.reset()
+        self._force = np.zeros(2)
+        self._pushes.clear()
+        self._step += 1  # stamps rise for ever
+        self._answered = False
+        self._answered_at = self._now()
+        self._publish_state()
+        response.success = True
+        return response
+
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused = request.data
+        self._answered_at = self._now()
+        if not self._paused and self._answered and not self._realtime and self.active:
+            self._advance()
+        response.success = True
+        return response
+
+    def _single_step(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success = self._paused and self.active and (self._realtime or self._answered)
+        if response.success:
+            self._advance()
+        else:
+            response.message = 'expected a paused simulator whose state has been answered'
+        return response
+
+    def _now(self) -> float:
+        return self._wall.now().nanoseconds / _NANOSECONDS
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node as a process."""
+    sys.exit(run_node(SimulatorNode, arguments))
+
+
+if __name__ == '__main__':
+    main()

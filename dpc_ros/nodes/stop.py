@@ -1,0 +1,56 @@
+"""Stopping: Ctrl-C and SIGTERM ask, nobody is cut off."""
+
+from __future__ import annotations
+
+import os
+import signal
+from types import TracebackType
+
+import rclpy
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
+
+PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopRequest:
+    """A rclpy context for one process, and whether a signal has asked it to stop.
+
+    rclpy's own handlers shut the context down at once, which would lose what is still on its way.
+    A process that the launcher started (`PARENT_VARIABLE`) stops, too, when the launcher is gone.
+    """
+
+    def __init__(self, arguments: list[str] | None = None) -> None:
+        self.context = Context()
+        self._arguments = arguments
+        self._asked = False
+        self._parent = os.environ.get(PARENT_VARIABLE)
+        self._previous: dict[int, object] = {}
+
+    def __bool__(self) -> bool:
+        orphaned = self._parent is not None and os.getppid() != int(self._parent)
+        return self._asked or orphaned or not self.context.ok()
+
+    def __enter__(self) -> StopRequest:
+        rclpy.init(
+            args=self._arguments,
+            context=self.context,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        for number in _SIGNALS:
+            self._previous[number] = signal.signal(number, self._ask)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]
+        self.context.try_shutdown()
+
+    def _ask(self, number: int, frame: object) -> None:
+        self._asked = True

@@ -1,0 +1,43 @@
+"""The topics of the loop: their types and their quality of service (docs/interface.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+# Messages of one second at 1 kHz and more: a slow reader loses nothing, and a late recorder neither.
+_LOOP_DEPTH = 2000
+
+LOOP_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=_LOOP_DEPTH,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+TARGET_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic's type and quality of service, the same on both ends."""
+
+    message_type: type[Any]
+    qos: QoSProfile
+
+
+TOPICS = {
+    'configuration': Topic(JointState, LOOP_QOS),
+    'latent_state': Topic(JointState, LOOP_QOS),
+    'target': Topic(JointState, TARGET_QOS),
+    'control_force': Topic(WrenchStamped, LOOP_QOS),
+    'external_force': Topic(WrenchStamped, LOOP_QOS),
+}

@@ -1,0 +1,82 @@
+"""Package dpc_ros, for pip as for colcon (ament_python)."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'dpc_ros'
+ROOT = Path(__file__).parent
+NODES = ('simulator_node', 'encoder_node', 'controller_node', 'recorder_node', 'launcher')
+
+
+def share_files():
+    """List every file of config/ with the folder below share/ that it installs to."""
+    share = Path('share') / PACKAGE
+    folders = {}
+    for path in sorted(Path('config').rglob('*')):
+        if path.is_file():
+            folders.setdefault(str(share / path.parent), []).append(str(path))
+    return list(folders.items())
+
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Latent control of high-dimensional mechanical systems, on ROS 2',
+    long_description=(ROOT / 'README.md').read_text(),
+    long_description_content_type='text/markdown',
+    maintainer='dpc_ros maintainers',
+    maintainer_email='maintainers@dpc-ros.org',
+    license='Apache-2.0',
+    python_requires='>=3.10',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        *share_files(),
+    ],
+    install_requires=[
+        'jaxtyping',
+        'matplotlib',
+        'mcap',
+        'mcap-ros2-support',
+        'numba',
+        'numpy',
+        'pyyaml',
+        'safetensors',
+        'scipy',
+        'threadpoolctl',
+        'torch',
+        'tqdm',
+    ],
+    extras_require={
+        'ros': [
+            'ros-jazzy-rclpy',
+            'ros-jazzy-common-interfaces',
+            'ros-jazzy-lifecycle-msgs',
+            'ros-jazzy-rmw-fastrtps-cpp',
+            'ros-jazzy-rosgraph-msgs',
+        ],
+        'test': [
+            'beartype',
+            'catkin_pkg',
+            'colcon-common-extensions',
+            'colcon-ros',
+            'hypothesis',
+            'mypy',
+            'psutil',
+            'pytest',
+            'pytest-timeout',
+            'ros-jazzy-domain-coordinator',
+            'rosbags',
+            'ruff',
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            'dpc = dpc_ros.cli:main',
+            *(f'{node} = {PACKAGE}.nodes.{node}:main' for node in NODES),
+        ],
+    },
+    zip_safe=False,
+)

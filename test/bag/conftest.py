@@ -1,0 +1,189 @@
+"""Messages of the loop as CDR bytes, made by rosbags, and logs of runs made of them."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from dpc_ros.autoencoder import Autoencoder
+from dpc_ros.bag import BagWriter, QosProfile, Topic
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+WRENCH = 'geometry_msgs/msg/WrenchStamped'
+NOTHING = np.zeros(0)
+RELIABLE = (QosProfile(depth=200),)
+
+
+class Messages:
+    """Serialised messages and topics."""
+
+    def __init__(self):
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+
+    def topic(self, name, type_name, profiles=RELIABLE):
+        return Topic(
+            name=name,
+            type_name=type_name,
+            definition=self.store.generate_msgdef(type_name, ros_version=2)[0],
+            offered_qos_profiles=profiles,
+            type_hash=self.store.hash_rihs01(type_name),
+        )
+
+    def joint_state(self, stamp, position, velocity=NOTHING, frame_id='', names=()):
+        message = self.store.types[JOINT_STATE](
+            header=self._header(stamp, frame_id),
+            name=list(names),
+            position=np.asarray(position, dtype=float),
+            velocity=np.asarray(velocity, dtype=float),
+            effort=NOTHING,
+        )
+        return bytes(self.store.serialize_cdr(message, JOINT_STATE))
+
+    def wrench(self, stamp, force, frame_id='mass_0'):
+        types = self.store.types
+        zero = types['geometry_msgs/msg/Vector3'](x=0.0, y=0.0, z=0.0)
+        vector = types['geometry_msgs/msg/Vector3'](x=float(force[0]), y=float(force[1]), z=0.0)
+        wrench = types['geometry_msgs/msg/Wrench'](force=vector, torque=zero)
+        message = types[WRENCH](header=self._header(stamp, frame_id), wrench=wrench)
+        return bytes(self.store.serialize_cdr(message, WRENCH))
+
+    def _header(self, stamp, frame_id):
+        seconds, rest = divmod(int(stamp), 10**9)
+        time = self.store.types['builtin_interfaces/msg/Time'](sec=seconds, nanosec=rest)
+        return self.store.types['std_msgs/msg/Header'](stamp=time, frame_id=frame_id)
+
+
+@dataclass
+class Log:
+    """A run to be written: rows of (stamp [ns], arrays …) for each topic."""
+
+    configuration: list
+    latent: list = field(default_factory=list)
+    force: list = field(default_factory=list)
+    external_force: list = field(default_factory=list)
+    targets: list = field(default_factory=list)  # (stamp, values, is_latent)
+    metadata: dict = field(default_factory=dict)
+    namespace: str = ''
+    network: str = 'net@0123456789ab'
+    checkpoint: str = 'flat@ba9876543210'
+    sequences: dict = field(default_factory=dict)  # topic name: list of numbers
+
+    def write_to(self, bag, messages):
+        rows = []
+        for name, type_name, cdrs in self._topics(messages):
+            topic = f'{self.namespace}/{name}'
+            bag.add_topic(messages.topic(topic, type_name))
+            numbers = self.sequences.get(name, range(1, len(cdrs) + 1))
+            pairs = zip(cdrs, numbers, strict=True)
+            rows += [(k, topic, cdr, n) for k, (cdr, n) in enumerate(pairs)]
+        for name, content in self.metadata.items():
+            bag.add_metadata(name, content)
+        for k, topic, cdr, number in sorted(rows, key=lambda row: row[:2]):
+            bag.write(topic, cdr, 10**18 + 1000 * k, 10**18 + 999 * k, number)
+
+    def _topics(self, messages):
+        state, wrench = messages.joint_state, messages.wrench
+        yield (
+            'configuration',
+            JOINT_STATE,
+            [state(t, q, v, self.network) for t, q, v in self.configuration],
+        )
+        yield (
+            'latent_state',
+            JOINT_STATE,
+            [state(t, x, v, self.checkpoint, _xi(x)) for t, x, v in self.latent],
+        )
+        yield 'control_force', WRENCH, [wrench(t, u) for t, u in self.force]
+        yield 'external_force', WRENCH, [wrench(t, u) for t, u in self.external_force]
+        yield (
+            'target',
+            JOINT_STATE,
+            [state(t, x, names=_xi(x) if latent else ()) for t, x, latent in self.targets],
+        )
+
+
+def _xi(values):
+    return [f'xi_{i}' for i in range(len(values))]
+
+
+class LinearAutoencoder(Autoencoder):
+    """ξ = A⁺q and q = Aξ, for a matrix A with independent columns."""
+
+    def __init__(self, matrix):
+        self.matrix = np.asarray(matrix, dtype=float)
+        self.inverse = np.linalg.pinv(self.matrix)
+
+    @property
+    def configuration_size(self):
+        return self.matrix.shape[0]
+
+    @property
+    def latent_size(self):
+        return self.matrix.shape[1]
+
+    def encode(self, configuration):
+        return configuration @ self.inverse.T
+
+    def decode(self, latent):
+        return latent @ self.matrix.T
+
+    def encoder_jacobian_vector_product(self, configuration, velocity):
+        return self.encode(configuration), self.encode(velocity)
+
+    def decoder_jacobian(self, latent):
+        return self.matrix
+
+    def decoder_curvature(self, latent, weight):
+        return np.zeros((self.latent_size, self.latent_size))
+
+
+@pytest.fixture(scope='session')
+def messages():
+    return Messages()
+
+
+@pytest.fixture(scope='session')
+def log_type():
+    return Log
+
+
+@pytest.fixture(scope='session')
+def linear_autoencoder():
+    return LinearAutoencoder
+
+
+@pytest.fixture(scope='session')
+def record(messages, tmp_path_factory):
+    """Write logs into one bag and return its folder."""
+
+    def write(*logs):
+        folder = tmp_path_factory.mktemp('runs') / 'bag'
+        with BagWriter(folder) as bag:
+            for log in logs:
+                log.write_to(bag, messages)
+        return folder
+
+    return write
+
+
+@pytest.fixture(scope='session')
+def square_network(tmp_path_factory):
+    """Four masses on a square, the lower two fixed: n = 4."""
+    from dpc_ros.network import load_network
+
+    path = Path(tmp_path_factory.mktemp('networks')) / 'square.json'
+    content = {
+        'name': 'square',
+        'mass': 0.5,
+        'fixed': [0, 1],
+        'rest_position': [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]],
+        'springs': [[0, 2], [1, 3], [2, 3], [0, 3]],
+        'stiffness': [50.0, 50.0, 50.0, 100.0],
+        'rest_length': [1.0, 1.0, 1.0, 2.0**0.5],
+        'damping': [0.1, 0.1, 0.1, 0.1],
+    }
+    path.write_text(json.dumps(content))
+    return load_network(path)
