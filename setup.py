@@ -48,6 +48,7 @@ setup(
         'threadpoolctl',
         'torch',
         'tqdm',
+        'zstandard',
     ],
     extras_require={
         'ros': [

@@ -1,4 +1,4 @@
-"""Where the package's resource files (`config/…`) are: in a source tree, a wheel or a colcon tree."""
+"""Where the resource files (`config/…`) are: in a source tree, a wheel or a colcon tree."""
 
 from pathlib import Path
 

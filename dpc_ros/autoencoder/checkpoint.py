@@ -9,12 +9,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors.numpy import load, save
 
+from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
-from dpc_ros.autoencoder.flat_module import FlatArchitecture, FlatModule
+from dpc_ros.autoencoder.flat import FlatAutoencoder
 from dpc_ros.network import MassSpringNetwork
 from dpc_ros.resources import find_resource
 
@@ -33,14 +34,16 @@ class Checkpoint:
 
     Attributes:
         name: of the checkpoint.
-        module: the torch module.
+        architecture: sizes and kind of the networks.
+        tensors: weights and normalisation, by the names that the torch module gives them.
         network: name and digest of the body that it belongs to.
         provenance: recipe, data, scores, versions.
         digest: twelve hexadecimal digits of the stored tensors; empty before it is saved.
     """
 
     name: str
-    module: FlatModule
+    architecture: FlatArchitecture
+    tensors: dict[str, np.ndarray]
     network: dict[str, str]
     provenance: dict[str, Any] = field(default_factory=dict)
     digest: str = ''
@@ -52,7 +55,7 @@ class Checkpoint:
 
     def autoencoder(self) -> Autoencoder:
         """Return it for online use, in float64."""
-        return self.module.export()
+        return FlatAutoencoder.from_tensors(self.architecture, self.tensors)
 
     def check_network(self, network: MassSpringNetwork) -> None:
         """Make sure that the checkpoint was trained on this network.
@@ -72,14 +75,13 @@ def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
     """Write `<name>.safetensors` and `<name>.json` into a folder and return the JSON's path."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = save({k: v.contiguous() for k, v in checkpoint.module.state_dict().items()})
-    architecture = asdict(checkpoint.module.architecture)
+    tensors = save({name: np.ascontiguousarray(v) for name, v in checkpoint.tensors.items()})
     content = {
         'format': FORMAT,
         'version': VERSION,
         'name': checkpoint.name,
         'kind': 'flat',
-        'architecture': architecture,
+        'architecture': asdict(checkpoint.architecture),
         'network': checkpoint.network,
         'sha256': hashlib.sha256(tensors).hexdigest(),
         **checkpoint.provenance,
@@ -110,16 +112,18 @@ def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
             f'got {sha256}: copy or train the checkpoint again'
         )
     try:
-        module = FlatModule(FlatArchitecture(**content['architecture']))
-        module.load_state_dict(load(data))
-    except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
+        architecture = FlatArchitecture(**content['architecture'])
+        tensors = load(data)
+        FlatAutoencoder.from_tensors(architecture, tensors)
+    except (SafetensorError, TypeError, ValueError) as error:
         raise CheckpointError(f'{path}: architecture and tensors do not fit, {error}') from error
-    if not all(torch.isfinite(value).all() for value in module.state_dict().values()):
+    if not all(np.isfinite(value).all() for value in tensors.values()):
         raise CheckpointError(f'{tensors_path}: holds values that are not finite')
     known = ('format', 'version', 'name', 'kind', 'architecture', 'network', 'sha256')
     return Checkpoint(
         name=content['name'],
-        module=module,
+        architecture=architecture,
+        tensors=tensors,
         network=content['network'],
         provenance={key: value for key, value in content.items() if key not in known},
         digest=sha256[:_DIGEST_LENGTH],

@@ -1,12 +1,16 @@
-"""The flat (dense) autoencoder, for online use."""
+"""The flat (dense) autoencoder, for online use: numpy alone, in float64."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
+from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
-from dpc_ros.autoencoder.perceptron import Perceptron
+from dpc_ros.autoencoder.perceptron import Layer, Perceptron
 
 
 class FlatAutoencoder(Autoencoder):
@@ -29,6 +33,24 @@ class FlatAutoencoder(Autoencoder):
             )
         self._encoder = encoder
         self._decoder = decoder
+
+    @classmethod
+    def from_tensors(
+        cls, architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]
+    ) -> FlatAutoencoder:
+        """Return the maps of `FlatModule`, every normalisation folded into the layers.
+
+        Args:
+            architecture: sizes and kind.
+            tensors: weights and buffers by the names that the module gives them.
+
+        Raises:
+            ValueError: a tensor is missing, or has another shape than the architecture says.
+        """
+        try:
+            return _fold(architecture, {k: v.astype(np.float64) for k, v in tensors.items()})
+        except KeyError as error:
+            raise ValueError(f'the tensor {error} is missing') from error
 
     @property
     def configuration_size(self) -> int:
@@ -56,3 +78,52 @@ class FlatAutoencoder(Autoencoder):
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']
     ) -> Float[np.ndarray, 'm m']:
         return self._decoder.curvature(latent, weight)
+
+
+def _fold(architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]) -> FlatAutoencoder:
+    n, m = architecture.configuration_size, architecture.latent_size
+    sizes = [n, *architecture.hidden_sizes, m]
+    encoder = _layers(tensors, 'encoder', sizes)
+    decoder = _layers(tensors, 'decoder', sizes[::-1])
+    mean, scale = _shaped(tensors, 'configuration_mean', (n,)), tensors['configuration_scale']
+    latent_mean = _shaped(tensors, 'latent_mean', (m,))
+    latent_scale = _shaped(tensors, 'latent_scale', (m,))
+    encoder_offset, decoder_offset = -latent_mean, mean
+    encoder_skip = decoder_skip = None
+    if architecture.skip:
+        basis = _shaped(tensors, 'pod_basis', (n, m))
+        pod_scale = _shaped(tensors, 'pod_scale', (m,))
+        inward, outward = (basis / pod_scale).T / scale, basis * pod_scale * scale
+        encoder_skip = inward / latent_scale[:, None]
+        decoder_skip = outward * latent_scale
+        encoder_offset = encoder_offset - inward @ mean
+        decoder_offset = decoder_offset + outward @ latent_mean
+    enter, leave = encoder[0], decoder[-1]
+    encoder[0] = Layer(enter.weight / scale, enter.bias - enter.weight @ (mean / scale))
+    decoder[-1] = Layer(scale * leave.weight, scale * leave.bias + decoder_offset)
+    squeeze, expand = encoder[-1], decoder[0]
+    encoder[-1] = Layer(
+        squeeze.weight / latent_scale[:, None], (squeeze.bias + encoder_offset) / latent_scale
+    )
+    decoder[0] = Layer(expand.weight * latent_scale, expand.bias + expand.weight @ latent_mean)
+    return FlatAutoencoder(
+        Perceptron(encoder, architecture.activation, encoder_skip),
+        Perceptron(decoder, architecture.activation, decoder_skip),
+    )
+
+
+def _layers(tensors: Mapping[str, np.ndarray], part: str, sizes: list[int]) -> list[Layer]:
+    """Return the affine maps of a torch `Sequential` in which activations stand between them."""
+    return [
+        Layer(
+            _shaped(tensors, f'{part}.{2 * i}.weight', (outputs, inputs)),
+            _shaped(tensors, f'{part}.{2 * i}.bias', (outputs,)),
+        )
+        for i, (inputs, outputs) in enumerate(pairwise(sizes))
+    ]
+
+
+def _shaped(tensors: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    if tensors[name].shape != shape:
+        raise ValueError(f'{name}: expected shape {shape}, got {tensors[name].shape}')
+    return tensors[name]

@@ -2,55 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.flat import FlatAutoencoder
-from dpc_ros.autoencoder.perceptron import Layer, Perceptron
 
 _ACTIVATION_MODULES = {'elu': nn.ELU, 'silu': nn.SiLU}
 _SMALLEST_SCALE = 1e-12
 
 
-@dataclass(frozen=True)
-class FlatArchitecture:
-    """Sizes and kind of a flat autoencoder; the paper's defaults (section A.2).
-
-    Attributes:
-        configuration_size: n.
-        latent_size: m.
-        hidden_sizes: units of the encoder's hidden layers; the decoder mirrors them.
-        activation: σ between layers.
-        skip: centre and scale the data, and add linear POD maps around encoder and decoder, so
-            that the networks learn only what POD leaves over.
-
-    Raises:
-        ValueError: a size is not positive, or the activation is unknown.
-    """
-
-    configuration_size: int
-    latent_size: int
-    hidden_sizes: tuple[int, ...] = (300, 200, 100)
-    activation: str = 'elu'
-    skip: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, 'hidden_sizes', tuple(self.hidden_sizes))
-        sizes = (self.configuration_size, self.latent_size, *self.hidden_sizes)
-        if not all(isinstance(size, int) and size > 0 for size in sizes):
-            raise ValueError(f'architecture: expected positive whole sizes, got {sizes}')
-        if self.activation not in _ACTIVATION_MODULES:
-            raise ValueError(
-                f'activation {self.activation!r}: expected one of {sorted(_ACTIVATION_MODULES)}'
-            )
-
-
 class FlatModule(nn.Module):
-    """E(q) and D(ξ) with x = (q − mean)/scale: ξ = (f_E(x) + P⁺x − c)/s, x̂ = f_D(sξ + c) + P(sξ + c).
+    """ξ = (f_E(x) + P⁺x − c)/s and x̂ = f_D(r) + Pr, with x = (q − mean)/scale and r = sξ + c.
 
     f_E and f_D are perceptrons, P the scaled POD basis (zero without skip), c and s centre and
     scale of the latents, which `normalise_latents` sets after training.
@@ -121,53 +88,17 @@ class FlatModule(nn.Module):
         scale = np.maximum(raw.std(axis=0), _SMALLEST_SCALE)
         self.latent_scale.copy_(torch.from_numpy(scale))
 
-    @torch.no_grad()
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Return every weight and buffer by its name, as a checkpoint stores them."""
+        return {key: value.detach().cpu().numpy() for key, value in self.state_dict().items()}
+
     def export(self) -> FlatAutoencoder:
-        """Return the same maps in float64, every normalisation folded into the layers."""
-        mean, scale = _array(self.configuration_mean), float(self.configuration_scale)
-        latent_mean, latent_scale = _array(self.latent_mean), _array(self.latent_scale)
-        activation = self.architecture.activation
-        encoder, decoder = _layers(self.encoder), _layers(self.decoder)
-        encoder_skip = decoder_skip = None
-        encoder_offset, decoder_offset = -latent_mean, np.zeros_like(mean)
-        if self.architecture.skip:
-            basis, pod_scale = _array(self.pod_basis), _array(self.pod_scale)
-            inward = (basis / pod_scale).T
-            outward = basis * pod_scale
-            encoder_skip = inward / scale / latent_scale[:, None]
-            encoder_offset = encoder_offset - inward @ (mean / scale)
-            decoder_skip = scale * outward * latent_scale
-            decoder_offset = scale * outward @ latent_mean
-        first = encoder[0]
-        encoder[0] = Layer(first.weight / scale, first.bias - first.weight @ (mean / scale))
-        last = encoder[-1]
-        encoder[-1] = Layer(
-            last.weight / latent_scale[:, None], (last.bias + encoder_offset) / latent_scale
-        )
-        first = decoder[0]
-        decoder[0] = Layer(first.weight * latent_scale, first.bias + first.weight @ latent_mean)
-        last = decoder[-1]
-        decoder[-1] = Layer(scale * last.weight, scale * last.bias + mean + decoder_offset)
-        return FlatAutoencoder(
-            Perceptron(encoder, activation, encoder_skip),
-            Perceptron(decoder, activation, decoder_skip),
-        )
+        """Return the same maps for online use."""
+        return FlatAutoencoder.from_tensors(self.architecture, self.tensors())
 
 
 def _perceptron_module(sizes: list[int], activation: str) -> nn.Sequential:
     modules: list[nn.Module] = []
-    for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+    for inputs, outputs in pairwise(sizes):
         modules += [nn.Linear(inputs, outputs), _ACTIVATION_MODULES[activation]()]
     return nn.Sequential(*modules[:-1])
-
-
-def _layers(module: nn.Sequential) -> list[Layer]:
-    return [
-        Layer(_array(part.weight), _array(part.bias))
-        for part in module
-        if isinstance(part, nn.Linear)
-    ]
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().to(torch.float64).cpu().numpy().copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -37,7 +38,7 @@ class Perceptron:
         activation: str,
         skip: Float[np.ndarray, 'outputs inputs'] | None = None,
     ) -> None:
-        for before, after in zip(layers, layers[1:], strict=False):
+        for before, after in pairwise(layers):
             if after.weight.shape[1] != before.weight.shape[0]:
                 raise ValueError(
                     f'a layer of {before.weight.shape[0]} outputs is followed by one of '
@@ -70,8 +71,8 @@ class Perceptron:
         return value if self.skip is None else value + x @ self.skip.T
 
     def value_and_jacobian_product(
-        self, x: Float[np.ndarray, ' inputs'], tangent: Float[np.ndarray, 'inputs *directions']
-    ) -> tuple[Float[np.ndarray, ' outputs'], Float[np.ndarray, 'outputs *directions']]:
+        self, x: Float[np.ndarray, ' inputs'], tangent: Float[np.ndarray, inputs * directions]
+    ) -> tuple[Float[np.ndarray, ' outputs'], Float[np.ndarray, outputs * directions]]:
         """Return f(x) and (∂f/∂x)·t for one tangent or for several as columns (forward mode)."""
         hidden, moved = x, tangent
         for layer in self.layers[:-1]:

@@ -66,7 +66,7 @@ class Recipe:
         for key in ('learning_rate', 'weight_decay', 'step_factor'):
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError(f'{key}: expected a number, got {value!r} (write 1.0e-3, not 1e-3)')
+                raise ValueError(f'{key}: expected a number (YAML: 1.0e-3), got {value!r}')
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f'{key}: expected a finite number ≥ 0, got {value}')
         if self.schedule not in SCHEDULES:

@@ -13,12 +13,14 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from tqdm import tqdm
 
+from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
-from dpc_ros.autoencoder.flat_module import FlatArchitecture, FlatModule
+from dpc_ros.autoencoder.flat_module import FlatModule
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.data import Dataset
 
 SAVE_INTERVAL = 10  # epochs between two states on disk
+_EPOCHS_PER_SEED = 1_000_000  # so that no two epochs of two seeds share their batches
 
 
 def train(
@@ -62,7 +64,7 @@ def train(
         disable=not progress,
     )
     for epoch in bar:
-        generator = torch.Generator().manual_seed(hash((recipe.seed, epoch)) % 2**63)
+        generator = torch.Generator().manual_seed(recipe.seed * _EPOCHS_PER_SEED + epoch)
         order = torch.randperm(len(train_set), generator=generator)
         module.train()
         total = 0.0

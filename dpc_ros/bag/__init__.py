@@ -4,8 +4,8 @@ from dpc_ros.bag.convergence import Convergence, Energy, analyse
 from dpc_ros.bag.convergence_table import table
 from dpc_ros.bag.figure import draw
 from dpc_ros.bag.mcap_file import BagError
+from dpc_ros.bag.metadata import PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, Target, read_run
-from dpc_ros.bag.report import PARAMETERS_RECORD, converge
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
@@ -20,7 +20,6 @@ __all__ = [
     'Target',
     'Topic',
     'analyse',
-    'converge',
     'draw',
     'read_run',
     'table',

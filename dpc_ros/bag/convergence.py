@@ -119,7 +119,7 @@ def analyse(
     time = _seconds(run.configuration_stamp, start)
     nmse, last, segment = _normalised_mse(run, goals)
     final = _final_nmse(run, nmse, segment)
-    force_norm = np.linalg.norm(run.force, axis=1)
+    force_norm = np.hypot(run.force[:, 0], run.force[:, 1])
     has_force = len(force_norm) > 0
     return Convergence(
         run=run,
@@ -135,7 +135,7 @@ def analyse(
         force_time=_seconds(run.force_stamp, start),
         force_norm=force_norm,
         peak_force=float(force_norm.max()) if has_force else np.nan,
-        rms_force=float(np.sqrt(np.mean(force_norm**2))) if has_force else np.nan,
+        rms_force=_root_mean_square(force_norm) if has_force else np.nan,
         energy=None if mechanics is None else _energy(run, mechanics),
     )
 
@@ -214,8 +214,14 @@ def _latent_error(run: Run, goals: list[_Goal]) -> Float[np.ndarray, ' latents']
     in_force = _goal_at(run.latent_stamp, goals)
     for i in np.unique(in_force[in_force >= 0]):
         frames = in_force == i
-        error[frames] = np.linalg.norm(run.latent[frames] - np.asarray(goals[i].latent), axis=1)
+        with np.errstate(all='ignore'):
+            error[frames] = np.linalg.norm(run.latent[frames] - np.asarray(goals[i].latent), axis=1)
     return error
+
+
+def _root_mean_square(values: Float[np.ndarray, ' k']) -> float:
+    with np.errstate(over='ignore'):
+        return float(np.sqrt(np.mean(values**2)))
 
 
 def _energy(run: Run, mechanics: Mechanics) -> Energy:

@@ -13,6 +13,7 @@ from dpc_ros.bag.topic import Topic, qos_content
 
 FILE_NAME = 'metadata.yaml'
 FORMAT_VERSION = 9
+PARAMETERS_RECORD = 'dpc_ros.parameters'  # of the record that keeps the nodes' parameter file
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content
 
 

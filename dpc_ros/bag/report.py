@@ -8,10 +8,9 @@ import yaml
 
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint
 from dpc_ros.bag.convergence import Convergence, analyse
+from dpc_ros.bag.metadata import PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, read_run
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
-
-PARAMETERS_RECORD = 'dpc_ros.parameters'
 
 
 def converge(

@@ -63,10 +63,7 @@ test_conditions.__test__ = False  # type: ignore[attr-defined]  # pytest takes i
 
 
 def _condition(row: dict[str, str]) -> Condition:
-    if 'split' in row:
-        split = row['split']
-    else:
-        split = 'test' if int(row['in_paper_28']) else 'outside'
+    split = row['split'] if 'split' in row else ('outside', 'test')[int(row['in_paper_28'])]
     if row['start'] not in STARTS:
         raise ValueError(f'start {row["start"]!r}: expected one of {STARTS}')
     gravity = Gravity(float(row['gravity_m_s2']), float(row['angle_rad']))

@@ -87,9 +87,7 @@ def make_dataset(
         for condition, trajectory in simulate_conditions(network, learning, method=method):
             kept = thin(trajectory.configuration, thinning_distance)
             frames[condition.split].append(trajectory.configuration[kept])
-            frames[f'{condition.split}_simulation'].append(
-                np.full(len(kept), condition.simulation)
-            )
+            frames[f'{condition.split}_simulation'].append(np.full(len(kept), condition.simulation))
             bar.update()
         for condition, trajectory in simulate_conditions(network, held_out, method=method):
             if condition.split == 'test':

@@ -87,7 +87,7 @@ class MassSpringNetwork:
 
     @cached_property
     def coordinate_names(self) -> list[str]:
-        """Name of each coordinate of q: `mass_007/x`, `mass_007/y`, …"""
+        """Names of the coordinates of q, from `mass_007/x` and `mass_007/y` on."""
         return [f'mass_{i:03d}/{axis}' for i in self.mobile for axis in 'xy']
 
     @cached_property
@@ -178,10 +178,8 @@ def _from_json(content: dict[str, Any]) -> MassSpringNetwork:
         stiffness=_array(content['stiffness'], 'stiffness', float),
         rest_length=_array(content['rest_length'], 'rest_length', float),
         damping=_array(content['damping'], 'damping', float),
-        background_stiffness=_number(content.get('background_stiffness', 0.0), 'background_stiffness'),
-        background_rest_fraction=_number(
-            content.get('background_rest_fraction', 0.0), 'background_rest_fraction'
-        ),
+        background_stiffness=_number(content, 'background_stiffness'),
+        background_rest_fraction=_number(content, 'background_rest_fraction'),
     )
 
 
@@ -195,10 +193,11 @@ def _array(value: Any, key: str, kind: type) -> np.ndarray:
         return array.astype(kind)
     except (ValueError, TypeError) as error:
         what = 'numbers' if kind is float else 'whole numbers'
-        raise NetworkError(f'{key}: expected an array of {what} without gaps, but {error}') from None
+        raise NetworkError(f'{key}: expected a full array of {what}, but {error}') from None
 
 
-def _number(value: Any, key: str) -> float:
+def _number(content: dict[str, Any], key: str) -> float:
+    value = content.get(key, 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise NetworkError(f'{key}: expected a number, got {value!r}')
     return float(value)
@@ -223,7 +222,8 @@ def _check(network: MassSpringNetwork) -> None:
         )
     loops = np.flatnonzero(network.springs[:, 0] == network.springs[:, 1])
     if len(loops):
-        raise NetworkError(f'springs: spring {loops[0]} joins mass {network.springs[loops[0], 0]} to itself')
+        mass = network.springs[loops[0], 0]
+        raise NetworkError(f'springs: spring {loops[0]} joins mass {mass} to itself')
     _check_connected(network, masses)
 
 
@@ -252,7 +252,7 @@ def _check_values(network: MassSpringNetwork) -> None:
         value = getattr(network, key)
         bad = np.flatnonzero(~np.isfinite(value).reshape(len(value), -1).all(axis=1))
         if len(bad):
-            raise NetworkError(f'{key}: expected finite numbers, but entry {bad[0]} is {value[bad[0]]}')
+            raise NetworkError(_entry(key, 'finite numbers', bad[0], value))
     for key in ('background_stiffness', 'background_rest_fraction'):
         if not np.isfinite(getattr(network, key)):
             raise NetworkError(f'{key}: expected a finite number, got {getattr(network, key)}')
@@ -260,10 +260,14 @@ def _check_values(network: MassSpringNetwork) -> None:
         value = np.atleast_1d(getattr(network, key))
         bad = np.flatnonzero(value < 0)
         if len(bad):
-            raise NetworkError(f'{key}: expected no negative value, but entry {bad[0]} is {value[bad[0]]}')
+            raise NetworkError(_entry(key, 'no negative value', bad[0], value))
     bad = np.flatnonzero(network.mass <= 0)
     if len(bad):
-        raise NetworkError(f'mass: expected positive masses, but entry {bad[0]} is {network.mass[bad[0]]}')
+        raise NetworkError(_entry('mass', 'positive masses', bad[0], network.mass))
+
+
+def _entry(key: str, expected: str, place: int, value: np.ndarray) -> str:
+    return f'{key}: expected {expected}, but entry {place} is {value[place]}'
 
 
 def _check_indices(key: str, indices: np.ndarray, masses: int) -> None:

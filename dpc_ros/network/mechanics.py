@@ -1,4 +1,4 @@
-"""The mechanics of a network: energies, forces, damping and input field of M q̈ = −∇V − C q̇ + G u."""
+"""Mechanics of a network: energies, forces, damping, input field of M q̈ = −∇V − C q̇ + G u."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class Gravity:
     angle: float = -math.pi / 2
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.magnitude) and math.isfinite(self.angle) and self.magnitude >= 0):
+        finite = math.isfinite(self.magnitude) and math.isfinite(self.angle)
+        if not (finite and self.magnitude >= 0):
             raise ValueError(
                 f'gravity: expected a finite magnitude ≥ 0 and a finite angle, got {self}'
             )

@@ -1,4 +1,4 @@
-"""The last answer of a node, kept so that a stamp is answered the same way however often it comes."""
+"""The last answer of a node: a stamp is answered the same way however often it comes."""
 
 from __future__ import annotations
 

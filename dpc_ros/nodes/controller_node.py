@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 
-from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 

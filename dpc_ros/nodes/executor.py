@@ -268,10 +268,8 @@ class KeptWaitSetExecutor(Executor):
     def _spin_once(
         self, timeout_sec: float | TimeoutObject | None, is_over: Callable[[], bool]
     ) -> None:
-        if isinstance(timeout_sec, TimeoutObject):
-            timeout_sec = timeout_sec.timeout
-        endless = timeout_sec is None or timeout_sec < 0
-        deadline = math.inf if endless else time.monotonic() + timeout_sec
+        timeout = timeout_sec.timeout if isinstance(timeout_sec, TimeoutObject) else timeout_sec
+        deadline = math.inf if timeout is None or timeout < 0 else time.monotonic() + timeout
         while not self._is_shutdown and not is_over():
             if self._run_next():
                 return
@@ -406,7 +404,7 @@ class KeptWaitSetExecutor(Executor):
 
     def _entities(self) -> list[_Entity]:
         """List what the executor's nodes wait on now."""
-        entities = []
+        entities: list[_Entity] = []
         for node in self.get_nodes():
             for kind, members in (
                 ('timer', node.timers),

@@ -1,4 +1,4 @@
-"""What the launcher starts: the parameters of each node, merged and checked before anything runs."""
+"""What the launcher starts: parameters of each node, merged and checked before anything runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from dpc_ros.nodes.parameters import ParameterError, declarations
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
 _STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
-_READERS = {'simulator': ('encoder',), 'encoder': ('controller',), 'controller': ('simulator',)}
 _OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
 MONITORED = ('configuration', 'control_force')  # topics that the launcher itself reads
 
@@ -119,9 +118,10 @@ def make_plan(
                 raise ParameterError(f'{node}: {error}') from error
     recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
-        parameters[node]['expected_subscribers'] = (
-            len(_READERS[node]) + (output in recorded) + (output in MONITORED)
-        )
+        if 'expected_subscribers' not in overrides.get(node, {}):
+            parameters[node]['expected_subscribers'] = (
+                1 + (output in recorded) + (output in MONITORED)
+            )
     return LaunchPlan(parameters, folder, namespace)
 
 

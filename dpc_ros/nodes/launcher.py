@@ -10,7 +10,8 @@ from typing import Any
 
 import yaml
 
-from dpc_ros.bag import converge, draw, table
+from dpc_ros.bag import draw, table
+from dpc_ros.bag.report import converge
 from dpc_ros.nodes.controller_node import ControllerNode
 from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.executor import make_executor

@@ -23,7 +23,8 @@ from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.threads import single_threaded_algebra
 
 _DIAGNOSTIC_PERIOD = 1.0  # s
-_ACKNOWLEDGE_TIMEOUT = Duration(seconds=2)
+# Longer than the 3 s after which Fast DDS asks again for an acknowledgement that it misses.
+_ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
 _SPIN_PERIOD = 0.1  # s, within which a Ctrl-C is seen
 _REPORT_INTERVAL = 5.0  # s between two log lines about the same
 
@@ -114,7 +115,7 @@ class LoopNode(LifecycleNode):
         return self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
 
     def matched(self, publisher: Publisher) -> bool:
-        """Return whether a publisher has ever had the subscriptions that its node is to wait for."""
+        """Return whether a publisher has had, once, the subscriptions that it is to wait for."""
         if not self._matched:
             expected = self.settings['expected_subscribers']
             found = publisher.get_subscription_count()

@@ -21,13 +21,13 @@ _ARRAY = re.compile(r'(.+)\[(\d+)\]')
 _BOUNDED_STRING = re.compile(r'(w?string)<(\d+)>')
 
 
-def message_type_name(message_class: type) -> str:
+def message_type_name(message_class: type[Any]) -> str:
     """Return the full name of a message type, for example `sensor_msgs/msg/JointState`."""
     package, folder, _ = message_class.__module__.split('.')
     return f'{package}/{folder}/{message_class.__name__}'
 
 
-def message_definition(message_class: type) -> str:
+def message_definition(message_class: type[Any]) -> str:
     """Return the definition of a message type and of all types that it is made of.
 
     The type itself comes first. Each dependency follows once, in the order of appearance, headed by
@@ -57,7 +57,7 @@ def message_definition(message_class: type) -> str:
     )
 
 
-def _own_definition(message_class: type) -> str:
+def _own_definition(message_class: type[Any]) -> str:
     lines = [
         f'{_constant_type(value)} {name}={_constant_text(value)}'
         for name, value in _constants(message_class).items()
@@ -84,7 +84,7 @@ def _element_and_suffix(idl_type: str) -> tuple[str, str]:
     return _MSG_NAMES.get(idl_type, idl_type), suffix
 
 
-def _constants(message_class: type) -> dict[str, Any]:
+def _constants(message_class: type[Any]) -> dict[str, Any]:
     # The generated metaclass keeps them, and nothing else, under this mangled name.
     metaclass = type(message_class)
     return getattr(metaclass, f'_{metaclass.__name__}__constants')

@@ -33,7 +33,7 @@ def from_stamp(stamp: Time) -> int:
 
 
 def latent_names(latent_size: int) -> list[str]:
-    """Return `xi_0`, `xi_1`, …"""
+    """Return the names of latent coordinates, from `xi_0` on."""
     return [f'{_LATENT_PREFIX}{i}' for i in range(latent_size)]
 
 
@@ -97,7 +97,7 @@ def read_force(message: WrenchStamped) -> tuple[int, Float[np.ndarray, ' 2']]:
     """Return the mass that a WrenchStamped names and the planar force [N].
 
     Raises:
-        MessageError: the frame names no mass, a value is not finite, or the wrench leaves the plane.
+        MessageError: the frame names no mass, a value is not finite, or it leaves the plane.
     """
     prefix, _, number = message.header.frame_id.partition('_')
     if prefix != 'mass' or not number.isdecimal():

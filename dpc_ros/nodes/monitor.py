@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 import numpy as np
@@ -18,6 +17,7 @@ from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.topics import TOPICS
 
 _REFRESH = 0.1  # s between two looks at the newest messages
+_BAR_FORMAT = '{desc}: {percentage:3.0f}%|{bar:20}| {n:.2f}/{total:.2f} s{postfix}'
 
 
 class Monitor(Node):
@@ -31,16 +31,13 @@ class Monitor(Node):
             self._subscribe(topic)
         self._subscribe('target')
         self._refreshed = 0.0
+        endless = not np.isfinite(plan.duration)
         self._bar = tqdm(
-            total=plan.duration if np.isfinite(plan.duration) else None,
-            desc='waiting for the nodes',
-            unit='s',
-            bar_format='{desc}: {percentage:3.0f}%|{bar:20}| {n:.2f}/{total:.2f} s{postfix}'
-            if np.isfinite(plan.duration)
-            else '{desc}: {n:.2f} s{postfix}',
-            file=sys.stderr,
+            total=None if endless else plan.duration,
+            bar_format='{desc}: {n:.2f} s{postfix}' if endless else _BAR_FORMAT,
             mininterval=_REFRESH,
         )
+        self._bar.set_description_str('waiting for the nodes')
 
     def refresh(self, final: bool = False) -> None:
         """Bring the bar up to date, at most ten times a second."""
@@ -61,7 +58,7 @@ class Monitor(Node):
     def _show(self) -> None:
         state = deserialize_message(self._newest['configuration'], JointState)
         seconds = from_stamp(state.header.stamp) / 1e9
-        self._bar.set_description('running', refresh=False)
+        self._bar.set_description_str('running', refresh=False)
         self._bar.update(seconds - self._bar.n)
         shown = []
         configuration = np.array(state.position)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rclpy.context import Context
 from rclpy.qos import QoSProfile as RclpyQoS
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from dpc_ros.bag import PARAMETERS_RECORD, BagWriter, QosProfile, Topic
 from dpc_ros.nodes.health import SequenceCounter
@@ -92,8 +93,13 @@ class RecorderNode(LoopNode):
             type_name=message_type_name(message_type),
             definition=message_definition(message_type),
             offered_qos_profiles=tuple(_offered(each.qos_profile) for each in publishers),
-            type_hash=str(publishers[0].topic_type_hash) if publishers else '',
+            type_hash=_type_hash(publishers),
         )
+
+
+def _type_hash(publishers: list[TopicEndpointInfo]) -> str:
+    text = str(publishers[0].topic_type_hash) if publishers else ''
+    return text if text.startswith('RIHS01_') else ''  # rclpy says INVALID where it has none
 
 
 def _offered(qos: RclpyQoS) -> QosProfile:

@@ -175,7 +175,7 @@ class SimulatorNode(LoopNode):
         waiting = self._now() - self._answered_at
         which = 'response_timeout' if self._running else 'startup_timeout'
         limit = self.settings[which]
-        if (not self._running and limit > 0 or self._must_answer) and waiting > limit:
+        if (self._must_answer or (not self._running and limit > 0)) and waiting > limit:
             self.fail(self._timeout_reason(which, limit))
         elif self._must_answer or not self._running:
             if not self._running:

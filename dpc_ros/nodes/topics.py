@@ -9,7 +9,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-# Messages of one second at 1 kHz and more: a slow reader loses nothing, and a late recorder neither.
+# Messages of more than one second at 1 kHz: a slow recorder loses nothing.
 _LOOP_DEPTH = 2000
 
 LOOP_QOS = QoSProfile(
