@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = 'dpc_ros'
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parent  # `colcon build --symlink-install` runs a link to this file
 NODES = ('simulator_node', 'encoder_node', 'controller_node', 'recorder_node', 'launcher')
 
 
@@ -54,6 +54,7 @@ setup(
         'ros': [
             'ros-jazzy-rclpy',
             'ros-jazzy-common-interfaces',
+            'ros-jazzy-domain-coordinator',  # of the tests; here as every wheel of ROS
             'ros-jazzy-lifecycle-msgs',
             'ros-jazzy-rmw-fastrtps-cpp',
             'ros-jazzy-rosgraph-msgs',
@@ -68,7 +69,6 @@ setup(
             'psutil',
             'pytest',
             'pytest-timeout',
-            'ros-jazzy-domain-coordinator',
             'rosbags',
             'ruff',
         ],

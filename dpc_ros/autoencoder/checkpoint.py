@@ -75,7 +75,7 @@ def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
     """Write `<name>.safetensors` and `<name>.json` into a folder and return the JSON's path."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = save({name: np.ascontiguousarray(v) for name, v in checkpoint.tensors.items()})
+    tensors = save({name: np.asarray(v, order='C') for name, v in checkpoint.tensors.items()})
     content = {
         'format': FORMAT,
         'version': VERSION,
@@ -114,11 +114,13 @@ def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
     try:
         architecture = FlatArchitecture(**content['architecture'])
         tensors = load(data)
+        if not all(np.isfinite(value).all() for value in tensors.values()):
+            raise CheckpointError(f'{tensors_path}: holds values that are not finite')
         FlatAutoencoder.from_tensors(architecture, tensors)
+    except CheckpointError:
+        raise
     except (SafetensorError, TypeError, ValueError) as error:
         raise CheckpointError(f'{path}: architecture and tensors do not fit, {error}') from error
-    if not all(np.isfinite(value).all() for value in tensors.values()):
-        raise CheckpointError(f'{tensors_path}: holds values that are not finite')
     known = ('format', 'version', 'name', 'kind', 'architecture', 'network', 'sha256')
     return Checkpoint(
         name=content['name'],
@@ -147,6 +149,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     missing = {'name', 'architecture', 'network', 'sha256'} - content.keys()
     if missing:
         raise CheckpointError(f'{path}: expected the keys {sorted(missing)}, which are missing')
+    network = content['network']
+    if not isinstance(network, dict) or not {'name', 'digest'} <= network.keys():
+        raise CheckpointError(f'{path}: network: expected its name and digest, got {network!r}')
     return content
 
 

@@ -45,7 +45,8 @@ class FlatAutoencoder(Autoencoder):
             tensors: weights and buffers by the names that the module gives them.
 
         Raises:
-            ValueError: a tensor is missing, or has another shape than the architecture says.
+            ValueError: a tensor is missing, has another shape than the architecture says, or is
+                a scale that is not positive.
         """
         try:
             return _fold(architecture, {k: v.astype(np.float64) for k, v in tensors.items()})
@@ -85,14 +86,15 @@ def _fold(architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]) -> 
     sizes = [n, *architecture.hidden_sizes, m]
     encoder = _layers(tensors, 'encoder', sizes)
     decoder = _layers(tensors, 'decoder', sizes[::-1])
-    mean, scale = _shaped(tensors, 'configuration_mean', (n,)), tensors['configuration_scale']
+    mean = _shaped(tensors, 'configuration_mean', (n,))
+    scale = _positive(tensors, 'configuration_scale', ())
     latent_mean = _shaped(tensors, 'latent_mean', (m,))
-    latent_scale = _shaped(tensors, 'latent_scale', (m,))
+    latent_scale = _positive(tensors, 'latent_scale', (m,))
     encoder_offset, decoder_offset = -latent_mean, mean
     encoder_skip = decoder_skip = None
     if architecture.skip:
         basis = _shaped(tensors, 'pod_basis', (n, m))
-        pod_scale = _shaped(tensors, 'pod_scale', (m,))
+        pod_scale = _positive(tensors, 'pod_scale', (m,))
         inward, outward = (basis / pod_scale).T / scale, basis * pod_scale * scale
         encoder_skip = inward / latent_scale[:, None]
         decoder_skip = outward * latent_scale

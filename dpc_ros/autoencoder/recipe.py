@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -10,11 +11,13 @@ from typing import Any
 
 import yaml
 
+from dpc_ros.autoencoder.activations import ACTIVATIONS
 from dpc_ros.resources import find_resource
 
 _WARM_UP = 0.3  # fraction of a one-cycle schedule in which the learning rate rises
 _FIRST_DIVISOR = 25.0
 _LAST_DIVISOR = 1e4
+_WHOLE_NUMBERS = {'latent_size': 1, 'epochs': 1, 'batch_size': 1, 'step_epochs': 1, 'seed': 0}
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,24 @@ class Recipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, 'hidden_sizes', tuple(self.hidden_sizes))
-        for key in ('latent_size', 'epochs', 'batch_size', 'step_epochs'):
+        if not isinstance(self.name, str) or not re.fullmatch(r'\w[\w.-]*', self.name):
+            raise ValueError(f'name: expected one word that can name a file, got {self.name!r}')
+        if not isinstance(self.network, str):
+            raise ValueError(f'network: expected a name or a path, got {self.network!r}')
+        sizes = self.hidden_sizes
+        if not isinstance(sizes, list | tuple) or not all(_is_whole(s, 1) for s in sizes):
+            raise ValueError(f'hidden_sizes: expected whole numbers ≥ 1, got {sizes!r}')
+        object.__setattr__(self, 'hidden_sizes', tuple(sizes))
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(
+                f'activation {self.activation!r}: expected one of {sorted(ACTIVATIONS)}'
+            )
+        if not isinstance(self.skip, bool):
+            raise ValueError(f'skip: expected true or false, got {self.skip!r}')
+        for key, least in _WHOLE_NUMBERS.items():
             value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise ValueError(f'{key}: expected a whole number ≥ 1, got {value!r}')
+            if not _is_whole(value, least):
+                raise ValueError(f'{key}: expected a whole number ≥ {least}, got {value!r}')
         for key in ('learning_rate', 'weight_decay', 'step_factor'):
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float):
@@ -104,6 +120,10 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         return Recipe(**content)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{path}: {error}') from error
+
+
+def _is_whole(value: Any, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
 def _step_schedule(recipe: Recipe, step: int, steps_per_epoch: int) -> float:

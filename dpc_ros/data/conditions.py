@@ -9,6 +9,7 @@ from pathlib import Path
 from dpc_ros.network import Gravity
 from dpc_ros.resources import config_path
 
+SPLITS = ('train', 'validation', 'test', 'outside')
 STARTS = ('rest', 'continue', 'previous_end')
 
 
@@ -35,7 +36,7 @@ def load_conditions(path: str | Path) -> list[Condition]:
     """Read conditions from a CSV file in the form of `config/systems/*_conditions.csv`.
 
     Raises:
-        ValueError: a column is missing, a value can't be read or a start is unknown.
+        ValueError: a column is missing, a value can't be read, or a split or start is unknown.
     """
     conditions = []
     with Path(path).open(newline='') as file:
@@ -64,6 +65,8 @@ test_conditions.__test__ = False  # type: ignore[attr-defined]  # pytest takes i
 
 def _condition(row: dict[str, str]) -> Condition:
     split = row['split'] if 'split' in row else ('outside', 'test')[int(row['in_paper_28'])]
+    if split not in SPLITS:
+        raise ValueError(f'split {split!r}: expected one of {SPLITS}')
     if row['start'] not in STARTS:
         raise ValueError(f'start {row["start"]!r}: expected one of {STARTS}')
     gravity = Gravity(float(row['gravity_m_s2']), float(row['angle_rad']))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -73,9 +75,14 @@ def make_dataset(
         thinning_distance: ε [m], applied within each training and validation simulation.
         method: of integration, a key of `INTEGRATORS`.
         progress: show a progress bar.
+
+    Raises:
+        ValueError: a split has no simulation, or a simulation diverges.
     """
     learning = training_conditions() if train_conditions is None else train_conditions
     held_out = test_conditions() if held_out_conditions is None else held_out_conditions
+    _check_splits(learning, {'train', 'validation'}, {'train', 'validation'})
+    _check_splits(held_out, {'test'}, {'test', 'outside'})
     frames: dict[str, list[np.ndarray]] = {name: [] for name in _ARRAYS}
     bar = tqdm(
         total=len(learning) + len(held_out),
@@ -134,13 +141,29 @@ def load_dataset(path: str | Path) -> Dataset:
         ValueError: the file is no dataset.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open('rb') as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in _ARRAYS}
             provenance = json.loads(str(file['provenance']))
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        TypeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(
             f'{path}: expected a dataset as `dpc simulate` writes it, but {error}'
         ) from error
     return Dataset(**arrays, provenance=provenance)
+
+
+def _check_splits(conditions: list[Condition], needed: set[str], known: set[str]) -> None:
+    splits = {condition.split for condition in conditions}
+    if not needed <= splits <= known:
+        raise ValueError(
+            f'conditions: expected simulations of the splits {sorted(needed)}, got {sorted(splits)}'
+        )

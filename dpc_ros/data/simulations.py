@@ -31,6 +31,9 @@ def simulate_conditions(
 
     Yields:
         each condition with its trajectory of duration/step + 1 states.
+
+    Raises:
+        ValueError: a simulation diverges: the body is too stiff for the step.
     """
     steps = round(duration / step)
     at_rest = np.zeros(network.configuration_size)
@@ -43,4 +46,9 @@ def simulate_conditions(
         integrator = Integrator(Mechanics(network, condition.gravity), step, method)
         trajectory = simulate(integrator, configuration, velocity, steps)
         configuration, velocity = trajectory.configuration[-1], trajectory.velocity[-1]
+        if not (np.isfinite(configuration).all() and np.isfinite(velocity).all()):
+            raise ValueError(
+                f'simulation {condition.simulation} of {network.name} diverged at a step of '
+                f'{step} s: is the body too stiff, or too strongly damped, for that step?'
+            )
         yield condition, trajectory

@@ -19,6 +19,7 @@ class Body:
 
     Raises:
         NetworkError: the actuated mass does not exist or is fixed.
+        ValueError: the start is one of another body.
     """
 
     def __init__(
@@ -37,6 +38,9 @@ class Body:
             rest if configuration is None else configuration,
             np.zeros_like(rest) if velocity is None else velocity,
         )
+        for name, value in zip(('configuration', 'velocity'), self._start, strict=True):
+            if value.shape != rest.shape:
+                raise ValueError(f'{name}: expected {rest.size} values, got {value.size}')
         self.reset()
 
     def reset(self) -> None:

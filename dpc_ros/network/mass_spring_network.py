@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from dpc_ros.resources import find_resource
 
 _DIGEST_LENGTH = 12
+_WHOLE_NUMBERS = ('fixed', 'springs')
 
 
 class NetworkError(ValueError):
@@ -64,10 +65,9 @@ class MassSpringNetwork:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
-                kind = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float64
-                frozen = np.array(value, dtype=kind, order='C')
-                frozen.flags.writeable = False
-                object.__setattr__(self, field.name, frozen)
+                object.__setattr__(self, field.name, _frozen(field.name, value))
+            elif isinstance(value, int):  # the digest is one of floats
+                object.__setattr__(self, field.name, float(value))
         _check(self)
 
     @cached_property
@@ -174,7 +174,7 @@ def _from_json(content: dict[str, Any]) -> MassSpringNetwork:
         mass=_array(mass, 'mass', float),
         fixed=_array(content['fixed'], 'fixed', int),
         rest_position=rest_position,
-        springs=_array(content['springs'], 'springs', int).reshape(-1, 2),
+        springs=_array(content['springs'], 'springs', int),
         stiffness=_array(content['stiffness'], 'stiffness', float),
         rest_length=_array(content['rest_length'], 'rest_length', float),
         damping=_array(content['damping'], 'damping', float),
@@ -184,23 +184,40 @@ def _from_json(content: dict[str, Any]) -> MassSpringNetwork:
 
 
 def _array(value: Any, key: str, kind: type) -> np.ndarray:
+    kinds, what = ('if', 'numbers') if kind is float else ('i', 'whole numbers')
+    if not isinstance(value, list):
+        raise NetworkError(f'{key}: expected an array of {what}, got {value!r}')
     try:
         array = np.array(value)
-        if array.size == 0:
-            return np.zeros(array.shape, dtype=kind)
-        if array.dtype.kind not in ('if' if kind is float else 'i'):
-            raise ValueError(f'it holds {array.dtype}')
-        return array.astype(kind)
-    except (ValueError, TypeError) as error:
-        what = 'numbers' if kind is float else 'whole numbers'
-        raise NetworkError(f'{key}: expected a full array of {what}, but {error}') from None
+    except ValueError:
+        lengths = [len(row) if isinstance(row, list) else 0 for row in value]
+        odd = next((i for i, length in enumerate(lengths) if length != lengths[0]), 0)
+        raise NetworkError(_entry(key, 'rows of equal length', odd, value)) from None
+    if array.size and array.dtype.kind not in kinds:
+        # Numbers of both kinds may stand side by side: it is an entry that is none of the kind.
+        for place, entry in enumerate(value):
+            if np.array(entry).dtype.kind not in kinds:
+                raise NetworkError(_entry(key, f'an array of {what}', place, value))
+    return array.astype(kind)
 
 
 def _number(content: dict[str, Any], key: str) -> float:
     value = content.get(key, 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise NetworkError(f'{key}: expected a number, got {value!r}')
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise NetworkError(f'{key}: expected a finite number, got one too large') from None
+
+
+def _frozen(key: str, value: np.ndarray) -> np.ndarray:
+    whole = key in _WHOLE_NUMBERS
+    if whole and value.size and not np.issubdtype(value.dtype, np.integer):
+        raise NetworkError(f'{key}: expected whole numbers, got an array of {value.dtype}')
+    frozen = np.array(value, dtype=np.int64 if whole else np.float64, order='C')
+    frozen.flags.writeable = False
+    return frozen
 
 
 def _check(network: MassSpringNetwork) -> None:
@@ -266,7 +283,7 @@ def _check_values(network: MassSpringNetwork) -> None:
         raise NetworkError(_entry('mass', 'positive masses', bad[0], network.mass))
 
 
-def _entry(key: str, expected: str, place: int, value: np.ndarray) -> str:
+def _entry(key: str, expected: str, place: int, value: np.ndarray | list) -> str:
     return f'{key}: expected {expected}, but entry {place} is {value[place]}'
 
 

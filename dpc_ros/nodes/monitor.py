@@ -42,13 +42,10 @@ class Monitor(Node):
     def refresh(self, final: bool = False) -> None:
         """Bring the bar up to date, at most ten times a second."""
         now = time.monotonic()
-        if not final and now - self._refreshed < _REFRESH:
-            return
-        self._refreshed = now
-        if 'configuration' in self._newest:
-            self._show()
-        else:
-            self._bar.refresh()
+        if final or now - self._refreshed >= _REFRESH:
+            self._refreshed = now
+            if 'configuration' in self._newest:
+                self._show()
 
     def close(self) -> None:
         """End the bar with what came last."""
@@ -58,8 +55,10 @@ class Monitor(Node):
     def _show(self) -> None:
         state = deserialize_message(self._newest['configuration'], JointState)
         seconds = from_stamp(state.header.stamp) / 1e9
+        if seconds == self._bar.n:
+            return
+        self._bar.n = seconds
         self._bar.set_description_str('running', refresh=False)
-        self._bar.update(seconds - self._bar.n)
         shown = []
         configuration = np.array(state.position)
         if 'target' in self._newest:

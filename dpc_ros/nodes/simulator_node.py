@@ -59,7 +59,7 @@ class SimulatorNode(LoopNode):
             self.create_input('control_force', self._take_force),
             self.create_input('external_force', self._take_push),
         ]
-        self._services = [
+        self._commands = [
             self.create_service(Trigger, '~/reset', self._reset),
             self.create_service(SetBool, '~/pause', self._pause),
             self.create_service(Trigger, '~/step', self._single_step),
@@ -84,7 +84,7 @@ class SimulatorNode(LoopNode):
     def clean_up(self) -> None:
         for subscription in getattr(self, '_inputs', []):
             self.destroy_subscription(subscription)
-        for service in getattr(self, '_services', []):
+        for service in getattr(self, '_commands', []):
             self.destroy_service(service)
 
     @property

@@ -1,0 +1,92 @@
+# Everything runs in a virtual environment of its own, made on first use.
+#
+#   make demo ARGS='--duration 2'       arguments for the launcher
+#   make test ARGS='test/bag -k writer' arguments for pytest, instead of all tests
+#   make demo PYTHON=python3.12         another Python, 3.10 to 3.13
+#   make demo TORCH_INDEX=https://download.pytorch.org/whl/cu130   another build of torch
+
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+
+# The nodes of this machine only; the default of ROS announces them to the subnet.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+FITS := import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))
+PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3 python3.10; do \
+	if $$python -c '$(FITS)' 2>/dev/null; then echo $$python; break; fi; done)
+
+VENV_OPTIONS :=
+CONSTRAINTS := -c constraints.txt
+DEMO_EXTRAS := [ros]
+TEST_EXTRAS := [ros,test]
+
+# With a sourced ROS installation rclpy comes from there, and so do the numpy and the Python that it
+# was built with: no wheels of ROS then, and no constraints, which name another numpy.
+ifneq ($(ROS_DISTRO),)
+ifeq ($(shell python3 -c 'import rclpy' 2>/dev/null && echo found),found)
+PYTHON := python3
+VENV_OPTIONS := --system-site-packages
+CONSTRAINTS :=
+DEMO_EXTRAS :=
+TEST_EXTRAS := [test]
+endif
+endif
+
+PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
+# Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
+INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
+
+.PHONY: help demo test venv clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo 'make demo   run the three nodes, record, and show how the body converged'
+	@echo 'make test   run linters, type checks and all tests'
+	@echo 'make venv   only install, into $(VENV)'
+	@echo 'make clean  remove $(VENV) and what the tools left (runs/ stays)'
+
+demo: $(VENV)/demo.stamp
+	$(BIN)/launcher --config config/demo.yaml $(ARGS)
+
+test: $(VENV)/test.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest $(ARGS)
+
+venv: $(VENV)/test.stamp
+
+clean:
+	rm -rf $(VENV) build dist install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find dpc_ros test -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/pyvenv.cfg:
+	@test -n '$(PYTHON)' || { echo 'error: expected Python 3.10 to 3.13, found none: install' \
+		'python3.11 or name one with PYTHON=' >&2; exit 1; }
+	@$(PYTHON) -c '$(FITS)' || { echo 'error: $(PYTHON) is no Python 3.10 to 3.13' >&2; exit 1; }
+	@echo 'Making $(VENV) with $(PYTHON) …'
+	@$(PYTHON) -m venv --clear $(VENV_OPTIONS) $(VENV) >$(VENV).log 2>&1 || { \
+		cat $(VENV).log >&2; rm -rf $(VENV) $(VENV).log; \
+		echo 'error: $(PYTHON) cannot make a virtual environment; on Debian and Ubuntu install' \
+		'its venv module (apt install python3-venv)' >&2; exit 1; }
+	@rm -f $(VENV).log
+
+# The build backend, and torch's CPU build where its index can be reached; else torch comes with the
+# rest, from wherever pip finds it.
+$(VENV)/base.stamp: $(VENV)/pyvenv.cfg constraints.txt
+	@echo 'Installing torch …'
+	@$(PIP_INSTALL) 'setuptools<80'
+	@$(PIP_INSTALL) --no-deps --retries 0 --extra-index-url $(TORCH_INDEX) torch || true
+	@touch $@
+
+$(VENV)/demo.stamp: $(VENV)/base.stamp setup.py setup.cfg
+	@echo 'Installing dpc_ros$(DEMO_EXTRAS) …'
+	@$(INSTALL) '.$(DEMO_EXTRAS)'
+	@touch $@
+
+$(VENV)/test.stamp: $(VENV)/base.stamp setup.py setup.cfg
+	@echo 'Installing dpc_ros$(TEST_EXTRAS) …'
+	@$(INSTALL) '.$(TEST_EXTRAS)'
+	@touch $(VENV)/demo.stamp $@

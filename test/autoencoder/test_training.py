@@ -1,0 +1,201 @@
+"""Training lowers the error, can be cut off anywhere, and looks at nothing it should not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpc_ros.autoencoder import load_checkpoint, training
+from dpc_ros.autoencoder.experiment import train_checkpoint
+from dpc_ros.autoencoder.recipe import Recipe
+from dpc_ros.autoencoder.training import reconstruction_mse, train
+from dpc_ros.data import Condition, Dataset, make_dataset, save_dataset
+from dpc_ros.network import Gravity, save_network
+
+RECIPE = Recipe(
+    'grid_m2',
+    'grid',
+    latent_size=2,
+    hidden_sizes=(16, 8),
+    activation='silu',
+    skip=True,
+    epochs=9,
+    batch_size=64,
+    schedule='one_cycle',
+)
+PLAIN = replace(RECIPE, name='plain', skip=False, activation='elu', schedule='step', seed=4)
+
+
+@pytest.fixture(scope='module')
+def dataset(small_configurations):
+    """Configurations of the small network; what training must not read is not a number."""
+    train_set, validation = small_configurations[::2].copy(), small_configurations[1::2].copy()
+    nothing = np.full_like(validation, np.nan)
+    return Dataset(
+        train=train_set,
+        validation=validation,
+        test=nothing,
+        test_velocity=nothing,
+        train_simulation=np.zeros(len(train_set), int),
+        validation_simulation=np.zeros(len(validation), int),
+        test_simulation=np.zeros(len(nothing), int),
+        provenance={},
+    )
+
+
+@pytest.fixture
+def saved_every_two_epochs(monkeypatch):
+    monkeypatch.setattr(training, 'SAVE_INTERVAL', 2)
+
+
+def cut_off(monkeypatch, recipe, dataset, path, epoch):
+    """Train until the second batch of an epoch, and be killed there."""
+    steps_per_epoch = -(-len(dataset.train) // recipe.batch_size)
+    assert steps_per_epoch > 1
+    rate = Recipe.learning_rate_at
+
+    def rate_or_death(self, step, steps):
+        if step == epoch * steps_per_epoch + 1:
+            raise KeyboardInterrupt
+        return rate(self, step, steps)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Recipe, 'learning_rate_at', rate_or_death)
+        with pytest.raises(KeyboardInterrupt):
+            train(recipe, dataset, path)
+
+
+def assert_same_bits(first, second):
+    first, second = first.tensors(), second.tensors()
+    assert first.keys() == second.keys()
+    for name in first:
+        assert first[name].tobytes() == second[name].tobytes(), name
+
+
+@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+def test_training_lowers_the_error(recipe, dataset):
+    short = train(replace(recipe, epochs=1, learning_rate=0.0), dataset).export()
+    long = train(replace(recipe, epochs=40), dataset).export()
+    before = reconstruction_mse(short, dataset.validation)
+    assert reconstruction_mse(long, dataset.validation) < 0.9 * before
+
+
+@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+def test_trained_latents_have_unit_deviation(recipe, dataset):
+    latent = train(recipe, dataset).export().encode(dataset.train)
+    np.testing.assert_allclose(latent.mean(axis=0), 0, atol=1e-8)
+    np.testing.assert_allclose(latent.std(axis=0), 1, atol=1e-8)
+
+
+def test_training_repeats_itself_and_follows_its_seed(dataset):
+    first = train(RECIPE, dataset)
+    assert_same_bits(first, train(RECIPE, dataset))
+    other = train(replace(RECIPE, seed=1), dataset)
+    assert not np.array_equal(
+        first.tensors()['encoder.0.weight'], other.tensors()['encoder.0.weight']
+    )
+
+
+@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+@pytest.mark.parametrize('epoch', [1, 2, 5])
+@pytest.mark.usefixtures('saved_every_two_epochs')
+def test_a_training_cut_off_ends_like_an_unbroken_one(
+    monkeypatch, tmp_path, dataset, recipe, epoch
+):
+    path = tmp_path / 'state.safetensors'
+    cut_off(monkeypatch, recipe, dataset, path, epoch)
+    assert path.exists() == (epoch >= 2)
+    resumed = train(recipe, dataset, path)
+    assert_same_bits(resumed, train(recipe, dataset))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures('saved_every_two_epochs')
+def test_a_training_cut_off_twice_ends_like_an_unbroken_one(monkeypatch, tmp_path, dataset):
+    path = tmp_path / 'state.safetensors'
+    for epoch in (3, 7):
+        cut_off(monkeypatch, RECIPE, dataset, path, epoch)
+    assert_same_bits(train(RECIPE, dataset, path), train(RECIPE, dataset))
+
+
+@pytest.mark.usefixtures('saved_every_two_epochs')
+def test_another_recipe_is_not_mixed_in(monkeypatch, tmp_path, dataset):
+    path = tmp_path / 'state.safetensors'
+    cut_off(monkeypatch, RECIPE, dataset, path, 3)
+    with pytest.raises(ValueError, match='unfinished training by another recipe'):
+        train(replace(RECIPE, learning_rate=0.01), dataset, path)
+    assert path.exists()
+
+
+@pytest.mark.parametrize('content', [b'', b'something else', b'\x10\0\0\0\0\0\0\0{"x"'])
+def test_a_damaged_state_is_refused(tmp_path, dataset, content):
+    path = tmp_path / 'state.safetensors'
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r'state\.safetensors.*remove the file'):
+        train(RECIPE, dataset, path)
+
+
+def test_the_best_validation_epoch_is_kept(dataset):
+    # A rate this high makes later epochs worse than some earlier one.
+    recipe = replace(PLAIN, epochs=12, learning_rate=0.05)
+    error = reconstruction_mse(train(recipe, dataset).export(), dataset.validation)
+    for epochs in (1, 4, 8):
+        shorter = train(replace(recipe, epochs=epochs), dataset).export()
+        assert error <= reconstruction_mse(shorter, dataset.validation) * (1 + 1e-4)
+
+
+def test_a_training_that_gives_no_number_fails(dataset):
+    bad = replace(dataset, train=np.where(dataset.train > 0, np.nan, dataset.train))
+    with pytest.raises(ValueError, match='not finite'):
+        train(PLAIN, bad)
+
+
+def test_weights_of_other_generators_are_left_alone(dataset):
+    import torch
+
+    torch.manual_seed(0)
+    expected = torch.rand(3)
+    torch.manual_seed(0)
+    train(replace(RECIPE, epochs=1), dataset)
+    assert torch.equal(torch.rand(3), expected)
+
+
+@pytest.fixture
+def experiment(tmp_path, small_network):
+    """A network file and its data, by the recipe that names them."""
+    save_network(small_network, tmp_path / 'grid.json')
+    conditions = [
+        Condition(1, 'train', Gravity(9.81), 'rest'),
+        Condition(2, 'validation', Gravity(5.0, 0.3), 'continue'),
+    ]
+    held_out = [Condition(3, 'test', Gravity(4.0), 'rest')]
+    dataset = make_dataset(small_network, conditions, held_out)
+    save_dataset(dataset, tmp_path / 'data' / 'grid.npz')
+    recipe = replace(RECIPE, network=str(tmp_path / 'grid.json'), epochs=3)
+    return recipe, dataset, tmp_path
+
+
+def test_the_checkpoint_states_its_scores_and_its_origin(experiment, small_network):
+    recipe, dataset, folder = experiment
+    path = train_checkpoint(recipe, folder / 'training', folder / 'data')
+    checkpoint = load_checkpoint(path)
+    checkpoint.check_network(small_network)
+    autoencoder = checkpoint.autoencoder()
+    for split in ('train', 'validation', 'test'):
+        error = reconstruction_mse(autoencoder, getattr(dataset, split))
+        stated = checkpoint.provenance['scores'][f'{split}_mse']
+        assert stated == pytest.approx(error, rel=1e-12)
+    assert checkpoint.provenance['recipe'] == recipe.as_dict()
+    assert checkpoint.provenance['data']['network_digest'] == small_network.digest
+    assert sorted(file.name for file in path.parent.iterdir()) == [
+        'grid_m2.json',
+        'grid_m2.safetensors',
+    ]
+
+
+def test_data_of_another_network_are_refused(experiment, random_network):
+    recipe, _, folder = experiment
+    save_network(random_network(0), folder / 'grid.json')
+    with pytest.raises(ValueError, match=r'holds data of grid@.* the recipe is for random@'):
+        train_checkpoint(recipe, folder / 'training', folder / 'data', folder / 'data/grid.npz')
+    assert not (folder / 'training').exists()

@@ -1,0 +1,211 @@
+"""Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
+
+from dataclasses import dataclass
+
+import hypothesis
+import numpy as np
+import pytest
+from jaxtyping import install_import_hook
+
+# Not rooms with compiled loops: numba has to see their functions as they are.
+SHAPE_CHECKED = (
+    'dpc_ros.network.mechanics',
+    'dpc_ros.network.integration',
+    'dpc_ros.network.body',
+    'dpc_ros.autoencoder.flat',
+    'dpc_ros.autoencoder.flat_module',
+    'dpc_ros.autoencoder.perceptron',
+    'dpc_ros.reduction',
+    'dpc_ros.control',
+)
+install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
+
+from dpc_ros.autoencoder import load_checkpoint  # noqa: E402
+from dpc_ros.data import simulate_conditions, thin  # noqa: E402
+from dpc_ros.data.conditions import training_conditions  # noqa: E402
+from dpc_ros.network import (  # noqa: E402
+    Gravity,
+    MassSpringNetwork,
+    Mechanics,
+    load_network,
+)
+from dpc_ros.reduction import CompressedSystem  # noqa: E402
+
+hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
+hypothesis.settings.load_profile('dpc_ros')
+
+SPACING = 0.3  # m
+ACTUATED_MASS = 162  # of the paper's bodies
+
+
+def make_grid(rows, columns, seed=None, name='grid'):
+    """Return a hanging grid with its top row fixed; a seed draws every value at random."""
+    rest = [[SPACING * j, -SPACING * i] for i in range(rows) for j in range(columns)]
+    number = np.arange(rows * columns).reshape(rows, columns)
+    springs = np.concatenate(
+        [
+            np.column_stack([first.ravel(), second.ravel()])
+            for first, second in (
+                (number[:, :-1], number[:, 1:]),
+                (number[:-1], number[1:]),
+                (number[:-1, :-1], number[1:, 1:]),
+                (number[:-1, 1:], number[1:, :-1]),
+            )
+        ]
+    )
+    rest, count = np.array(rest), len(springs)
+    fixed = number[0]
+    draw = np.random.default_rng(seed)
+
+    def between(low, high, size):
+        return np.full(size, low) if seed is None else draw.uniform(low, high, size)
+
+    if seed is not None:
+        rest = rest + draw.uniform(-0.05, 0.05, rest.shape)
+        fixed = draw.choice(len(rest), size=draw.integers(1, len(rest)), replace=False)
+        springs = springs[:, ::-1] if draw.random() < 0.5 else springs
+    distance = np.linalg.norm(rest[springs[:, 0]] - rest[springs[:, 1]], axis=1)
+    return MassSpringNetwork(
+        name=name,
+        mass=between(0.05, 0.2, len(rest)),
+        fixed=fixed,
+        rest_position=rest,
+        springs=springs,
+        stiffness=between(50.0, 100.0, count),
+        rest_length=distance * between(1.0, 1.2, count),
+        damping=between(0.1, 0.5, count),
+        background_stiffness=float(between(0.2, 2.0, ())),
+        background_rest_fraction=float(between(0.5, 1.0, ())),
+    )
+
+
+@pytest.fixture(scope='session')
+def random_network():
+    """Return a function: seed → a small network with random values in every field."""
+    return lambda seed: make_grid(3, 3, seed, name='random')
+
+
+@pytest.fixture(scope='session')
+def random_state():
+    """Return a function: seed, network → (q, q̇), strained and moving."""
+
+    def draw(seed, network):
+        rng = np.random.default_rng(seed)
+        strain = rng.normal(scale=0.05, size=network.configuration_size)
+        return network.rest_configuration + strain, rng.normal(size=network.configuration_size)
+
+    return draw
+
+
+@pytest.fixture(scope='session')
+def paper_2():
+    """The paper's system 2."""
+    return load_network('paper_2')
+
+
+@pytest.fixture(scope='session')
+def mechanics(paper_2):
+    """System 2 under the gravity of the first training simulation."""
+    return Mechanics(paper_2, training_conditions()[0].gravity)
+
+
+@pytest.fixture(scope='session')
+def paper_trajectories():
+    """Return a function: network → its seven training and validation simulations, kept."""
+    kept = {}
+
+    def simulations(network):
+        if network.digest not in kept:
+            kept[network.digest] = list(simulate_conditions(network, training_conditions()))
+        return kept[network.digest]
+
+    return simulations
+
+
+@pytest.fixture(scope='session')
+def small_network():
+    """A hanging grid of 15 masses, 3 of them fixed: n = 24."""
+    return make_grid(5, 3)
+
+
+@pytest.fixture(scope='session')
+def small_mechanics(small_network):
+    """The small network under gravity, askew."""
+    return Mechanics(small_network, Gravity(3.0, -1.2))
+
+
+@pytest.fixture(scope='session')
+def small_configurations(small_network):
+    """Thinned configurations of the small network, from one second under each gravity."""
+    return np.concatenate(
+        [
+            trajectory.configuration[thin(trajectory.configuration, 0.02)]
+            for _, trajectory in simulate_conditions(small_network, training_conditions(), 1.0)
+        ]
+    )
+
+
+@pytest.fixture(scope='session')
+def make_module(small_configurations):
+    """Return a function: an untrained module, normalised on the small configurations."""
+    import torch
+
+    from dpc_ros.autoencoder.architecture import FlatArchitecture
+    from dpc_ros.autoencoder.flat_module import FlatModule
+
+    def make(latent_size=3, activation='silu', skip=True, seed=0):
+        torch.manual_seed(seed)
+        n = small_configurations.shape[1]
+        module = FlatModule(FlatArchitecture(n, latent_size, (16, 8), activation, skip))
+        if skip:
+            module.fit_normalisation(small_configurations)
+        module.normalise_latents(small_configurations)
+        return module
+
+    return make
+
+
+@pytest.fixture(scope='session')
+def small_autoencoder(make_module):
+    """Return a function: latent size → POD bent by small random networks."""
+    return lambda latent_size: make_module(latent_size).export()
+
+
+@pytest.fixture(scope='session')
+def small_system(small_mechanics, small_autoencoder):
+    """Return a function: latent size → the compressed small body, actuated at a lower corner."""
+    return lambda latent_size: CompressedSystem(
+        small_mechanics, small_autoencoder(latent_size), actuated_mass=14
+    )
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """A shipped checkpoint with its autoencoder and compressed system."""
+
+    checkpoint: object
+    autoencoder: object
+    system: CompressedSystem
+
+
+@pytest.fixture(scope='session', params=['paper_2_flat_m2', 'paper_2_skip_m5'])
+def shipped(request, paper_2):
+    """Each shipped checkpoint, on system 2 without gravity."""
+    checkpoint = load_checkpoint(request.param)
+    autoencoder = checkpoint.autoencoder()
+    system = CompressedSystem(Mechanics(paper_2), autoencoder, ACTUATED_MASS)
+    return Shipped(checkpoint, autoencoder, system)
+
+
+@pytest.fixture(scope='session')
+def central_difference():
+    """Return a function: derivative of f at x by all coordinates of x, second order."""
+
+    def differentiate(function, x, step=1e-5):
+        columns = []
+        for direction in step * np.eye(len(x)):
+            change = np.asarray(function(x + direction)) - np.asarray(function(x - direction))
+            columns.append(change / (2 * step))
+        return np.stack(columns, axis=-1)
+
+    return differentiate

@@ -1,0 +1,63 @@
+"""Simulations follow on one another as their conditions say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpc_ros.data import Condition, simulate_conditions
+from dpc_ros.network import Gravity, Integrator, Mechanics, simulate
+
+DURATION, STEP = 0.1, 0.005  # s
+
+
+def conditions(*starts):
+    return [
+        Condition(i + 1, 'train', Gravity(9.81, -1.0 - 0.5 * i), start)
+        for i, start in enumerate(starts)
+    ]
+
+
+def trajectories(network, *starts):
+    return [
+        trajectory
+        for _, trajectory in simulate_conditions(network, conditions(*starts), DURATION, STEP)
+    ]
+
+
+def test_rest_starts_from_the_rest_position(small_network):
+    for trajectory in trajectories(small_network, 'rest', 'rest'):
+        np.testing.assert_array_equal(trajectory.configuration[0], small_network.rest_configuration)
+        np.testing.assert_array_equal(trajectory.velocity[0], 0)
+        assert len(trajectory.configuration) == round(DURATION / STEP) + 1
+
+
+def test_continue_takes_position_and_velocity_on(small_network):
+    before, after = trajectories(small_network, 'rest', 'continue')
+    assert np.abs(before.velocity[-1]).max() > 0
+    np.testing.assert_array_equal(after.configuration[0], before.configuration[-1])
+    np.testing.assert_array_equal(after.velocity[0], before.velocity[-1])
+
+
+def test_previous_end_takes_the_position_on_at_rest(small_network):
+    before, after = trajectories(small_network, 'rest', 'previous_end')
+    np.testing.assert_array_equal(after.configuration[0], before.configuration[-1])
+    np.testing.assert_array_equal(after.velocity[0], 0)
+
+
+def test_each_runs_under_its_own_gravity(small_network):
+    for condition, trajectory in simulate_conditions(
+        small_network, conditions('rest', 'continue', 'previous_end'), DURATION, STEP
+    ):
+        integrator = Integrator(Mechanics(small_network, condition.gravity), STEP)
+        start = trajectory.configuration[0], trajectory.velocity[0]
+        expected = simulate(integrator, *start, round(DURATION / STEP))
+        np.testing.assert_array_equal(trajectory.configuration, expected.configuration)
+        np.testing.assert_array_equal(trajectory.velocity, expected.velocity)
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_a_body_too_stiff_for_the_step_is_reported(small_network):
+    stiff = replace(small_network, stiffness=1e12 * small_network.stiffness)
+    with pytest.raises(ValueError, match=r'simulation 1 of grid diverged .* step of 0\.005 s'):
+        trajectories(stiff, 'rest')

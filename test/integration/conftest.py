@@ -1,0 +1,170 @@
+"""Real processes over real DDS, each test on a domain of its own."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from domain_coordinator import domain_id
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.bag import read_run
+from dpc_ros.control import load_target, make_law, run_closed_loop
+from dpc_ros.network import Body, Integrator, Mechanics, load_network
+from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
+from dpc_ros.reduction import CompressedSystem
+from dpc_ros.resources import config_path
+from dpc_ros.threads import single_threaded_algebra
+
+GIVE_UP = 120.0  # s after which a test stops waiting; nothing is asserted about the time itself
+DEMO = config_path('demo.yaml')
+
+
+@dataclass
+class Domain:
+    """A DDS domain of its own: processes started on it end with the test."""
+
+    number: int
+    processes: list[subprocess.Popen] = field(default_factory=list)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {
+            **os.environ,
+            'ROS_DOMAIN_ID': str(self.number),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'PYTHONUNBUFFERED': '1',
+        }
+
+    def start(self, module: str, *arguments: str, cwd: Path | None = None) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, '-m', f'dpc_ros.nodes.{module}', *arguments],
+            env=self.environment,
+            cwd=cwd,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.processes.append(process)
+        return process
+
+    def start_node(self, kind: str, plan: LaunchPlan) -> subprocess.Popen:
+        return self.start(f'{kind}_node', *plan.ros_arguments())
+
+    def run(self, module: str, *arguments: str, cwd: Path | None = None) -> tuple[int, str]:
+        process = self.start(module, *arguments, cwd=cwd)
+        output, _ = process.communicate(timeout=GIVE_UP)
+        return process.returncode, output
+
+    def stop(self, process: subprocess.Popen) -> tuple[int, str]:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=GIVE_UP)
+        return process.returncode, output
+
+
+@pytest.fixture
+def domain():
+    with domain_id() as number:
+        domain = Domain(number)
+        yield domain
+        for process in domain.processes:
+            if process.poll() is None:
+                process.terminate()
+        for process in domain.processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+            process.kill()
+            process.wait()
+            process.stdout.close()
+
+
+@pytest.fixture
+def observer(domain, monkeypatch):
+    """A node of the test itself on the domain, with an executor to spin."""
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    context = Context()
+    rclpy.init(context=context, domain_id=domain.number)
+    node = rclpy.create_node('observer', context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    yield Observer(node, executor)
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
+
+
+@dataclass
+class Observer:
+    """Spins until something has happened."""
+
+    node: rclpy.node.Node
+    executor: SingleThreadedExecutor
+
+    def wait(self, condition, what: str) -> None:
+        deadline = time.monotonic() + GIVE_UP
+        while not condition():
+            assert time.monotonic() < deadline, f'gave up waiting for {what}'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def wait_for_node(self, name: str) -> None:
+        self.wait(lambda: name in self.node.get_node_names(), f'the node {name}')
+
+
+@pytest.fixture
+def plan(tmp_path):
+    """Make the plan of a run whose nodes a test starts itself."""
+
+    def make(folder: str = 'run', record: bool = True, **overrides) -> LaunchPlan:
+        readers = 2 if record else 1
+        merged = {
+            kind: {'expected_subscribers': readers}
+            for kind in ('simulator', 'encoder', 'controller')
+        }
+        for kind, values in overrides.items():
+            merged.setdefault(kind, {}).update(values)
+        made = make_plan(DEMO, merged, tmp_path / folder, record=record)
+        made.write()
+        return made
+
+    return make
+
+
+@pytest.fixture(scope='session')
+def reference():
+    """The demonstration's closed loop in one process, without ROS."""
+    single_threaded_algebra()
+    network = load_network('paper_2')
+    mechanics = Mechanics(network)
+    autoencoder = load_checkpoint('paper_2_skip_m5').autoencoder()
+    law = make_law(
+        'reduced_equilibrium', CompressedSystem(mechanics, autoencoder, 162), 2.0, 1.0, 20.0
+    )
+    law.regulate(load_target('simulation:4@100', network))
+    return run_closed_loop(Body(Integrator(mechanics, 0.005), 162), autoencoder, law, 1000)
+
+
+@pytest.fixture
+def assert_repeats(reference):
+    """Assert that a bag holds the in-process run, bit for bit, and return what was read."""
+
+    def check(bag: Path):
+        run = read_run(bag)
+        stamps = np.arange(len(reference.configuration)) * 5_000_000
+        for signal_stamps in (run.configuration_stamp, run.latent_stamp, run.force_stamp):
+            np.testing.assert_array_equal(signal_stamps, stamps)
+        for name in ('configuration', 'velocity', 'latent', 'latent_velocity', 'force'):
+            np.testing.assert_array_equal(getattr(run, name), getattr(reference, name))
+        assert not any(run.losses.values()), run.losses
+        return run
+
+    return check

@@ -1,0 +1,119 @@
+"""Each bad input gets one clear line, an exit code, and leaves nothing half-written."""
+
+import json
+
+import pytest
+
+from dpc_ros.resources import config_path
+
+
+def run_node(domain, kind, *parameters):
+    arguments = [part for item in parameters for part in ('-p', item)]
+    return domain.run(f'{kind}_node', '--ros-args', *arguments)
+
+
+def assert_one_clear_error(output, *words):
+    errors = [line for line in output.splitlines() if line.startswith('error:')]
+    assert len(errors) == 1, output
+    assert 'Traceback' not in output
+    for word in words:
+        assert word in errors[0], errors[0]
+
+
+@pytest.mark.parametrize(
+    ('kind', 'parameter', 'words'),
+    [
+        ('simulator', 'rat:=100.0', ("unknown parameter 'rat'", 'rate')),
+        ('simulator', 'rate:=-1.0', ('rate', 'expected 1 to 10000 Hz', '-1')),
+        ('simulator', 'rate:=fast', ('rate', 'expected a double', "'fast'")),
+        ('simulator', 'time_mode:=soon', ('time_mode', 'lockstep, realtime', 'soon')),
+        ('controller', 'law:=magic', ('law', 'reduced_equilibrium, paper')),
+        ('recorder', 'topics:=[sound]', ('topics', 'configuration')),
+    ],
+)
+def test_bad_parameters(domain, kind, parameter, words):
+    code, output = run_node(domain, kind, parameter)
+    assert code == 2
+    assert_one_clear_error(output, *words)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'parameters', 'words'),
+    [
+        ('simulator', ['network:=nowhere'], ('nowhere', 'paper_1')),
+        ('simulator', ['actuated_mass:=3'], ('mass 3', 'fixed')),
+        ('simulator', ['actuated_mass:=205'], ('no mass 205', '0 to 204')),
+        ('encoder', ['network:=paper_1'], ('paper_2_skip_m5', 'trained on paper_2', 'paper_1')),
+        ('encoder', ['checkpoint:=nothing'], ('nothing', 'paper_2_skip_m5')),
+        ('controller', ['actuated_mass:=3'], ('mass 3', 'fixed')),
+        ('controller', ['target:=simulation:9@1'], ('simulation:9@1', '[1, 2, 3, 4, 5, 6, 7]')),
+        ('controller', ['target:=simulation:1@5000'], ('5000', '0 to 1000')),
+        ('recorder', ['bag:=.'], ('expected a new or an empty folder',)),
+        ('recorder', ['parameters_file:=/nowhere.yaml'], ('/nowhere.yaml',)),
+    ],
+)
+def test_what_can_not_be_configured(domain, kind, parameters, words):
+    code, output = run_node(domain, kind, *parameters)
+    assert code == 1
+    assert_one_clear_error(output, *words)
+
+
+@pytest.mark.parametrize(
+    ('content', 'words'),
+    [
+        ({'configuration': [0.0] * 399}, ('400', '399')),
+        ({'configuration': [float('nan')] * 400}, ('finite', 'nan')),
+        ({'latent': [0.0] * 4}, ('5', '4')),
+        ({'both': 1}, ('"configuration" or "latent"',)),
+    ],
+)
+def test_bad_target_files(domain, tmp_path, content, words):
+    path = tmp_path / 'target.json'
+    path.write_text(json.dumps(content))
+    code, output = run_node(domain, 'controller', f'target:={path}')
+    assert code == 1
+    assert_one_clear_error(output, *words)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--set', 'simulator.rate=0'], ('simulator: rate', '1 to 10000')),
+        (['--set', 'simulator.speed=1'], ('unknown parameter', 'speed')),
+        (['--set', 'plotter.rate=1'], ('unknown node', 'plotter')),
+        (['--set', 'rate'], ('<node>.<parameter>=<value>',)),
+        (['--config', 'nowhere.yaml'], ('nowhere.yaml',)),
+        (['--config', __file__], ('expected a ROS 2 parameter file',)),
+    ],
+)
+def test_launcher_refuses_before_it_starts_anything(domain, tmp_path, arguments, words):
+    code, output = domain.run('launcher', '--output', str(tmp_path / 'run'), *arguments)
+    assert code == 2
+    assert_one_clear_error(output, *words)
+    assert not (tmp_path / 'run').exists()
+
+
+@pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
+def test_launcher_passes_on_the_failure_of_a_node(domain, tmp_path, mode):
+    code, output = domain.run(
+        'launcher', '--output', str(tmp_path / 'run'), '--target', 'simulation:8@1', *mode
+    )
+    assert code == 1
+    assert_one_clear_error(output, 'controller', 'simulation:8@1')
+
+
+def test_a_lone_simulator_gives_up_with_a_reason(domain):
+    code, output = run_node(
+        domain, 'simulator', 'expected_subscribers:=0', 'startup_timeout:=0.5'
+    )
+    assert code == 1
+    assert_one_clear_error(output, 'no control_force', 'startup_timeout = 0.5 s')
+
+
+def test_a_broken_network_file(domain, tmp_path):
+    content = {**json.loads(config_path('systems', 'paper_2.json').read_text()), 'fixed': [0, 1, 2, 3, 400]}
+    path = tmp_path / 'broken.json'
+    path.write_text(json.dumps(content))
+    code, output = run_node(domain, 'simulator', f'network:={path}')
+    assert code == 1
+    assert_one_clear_error(output, 'broken.json', 'fixed', 'mass 400')

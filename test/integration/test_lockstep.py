@@ -1,0 +1,105 @@
+"""A lockstep run over DDS is the in-process closed loop, bit for bit."""
+
+import itertools
+
+import pytest
+from rosbags.highlevel import AnyReader
+from sensor_msgs.msg import JointState
+
+from dpc_ros.nodes.topics import LOOP_QOS
+
+LOOP = ('simulator', 'encoder', 'controller')
+
+
+@pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
+def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, mode):
+    code, output = domain.run('launcher', '--output', str(tmp_path / 'run'), *mode)
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag')
+    assert 'final nMSE' in output
+    assert (tmp_path / 'run' / 'convergence.png').stat().st_size > 0
+
+
+def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats):
+    executors = [f'--set={kind}.executor=single_threaded' for kind in (*LOOP, 'recorder')]
+    code, output = domain.run('launcher', '--output', str(tmp_path / 'run'), *executors)
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag')
+
+
+@pytest.mark.parametrize('order', list(itertools.permutations(LOOP)), ids='-'.join)
+def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, order):
+    made = plan()
+    recorder = domain.start_node('recorder', made)
+    nodes = {}
+    for kind in order:
+        nodes[kind] = domain.start_node(kind, made)
+        observer.wait_for_node(kind)  # the next one starts only when this one is up
+    output, _ = nodes['simulator'].communicate(timeout=120)
+    assert nodes['simulator'].returncode == 0, output
+    for process in (nodes['encoder'], nodes['controller'], recorder):
+        code, output = domain.stop(process)
+        assert code == 0, output
+    assert_repeats(made.bag)
+
+
+@pytest.mark.parametrize('late', ['encoder', 'controller'])
+def test_a_late_node_catches_up(domain, observer, plan, assert_repeats, late):
+    made = plan(simulator={'expected_subscribers': 1, 'resend_interval': 0.05})
+    # The observer is the subscription that lets the simulator begin without the encoder.
+    seen = []
+    observer.node.create_subscription(
+        JointState, 'configuration', lambda message: seen.append(message), LOOP_QOS
+    )
+    recorder = domain.start_node('recorder', made)
+    observer.wait_for_node('recorder')
+    nodes = {kind: domain.start_node(kind, made) for kind in LOOP if kind != late}
+    observer.wait(lambda: len(seen) > 3, 'the first state, published several times')
+    assert {message.header.stamp.nanosec for message in seen} == {0}
+    nodes[late] = domain.start_node(late, made)
+    observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
+    assert nodes['simulator'].returncode == 0, nodes['simulator'].stdout.read()
+    for process in (nodes['encoder'], nodes['controller'], recorder):
+        code, output = domain.stop(process)
+        assert code == 0, output
+    run = assert_repeats(made.bag)
+    assert run.repeats['/configuration'] > 0
+
+
+def test_a_restarted_encoder_catches_up(domain, observer, plan, assert_repeats):
+    made = plan(simulator={'resend_interval': 0.05, 'response_timeout': 100.0})
+    reached = []
+    observer.node.create_subscription(
+        JointState,
+        'configuration',
+        lambda message: reached.append(message.header.stamp.sec),
+        LOOP_QOS,
+    )
+    nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', *LOOP)}
+    observer.wait(lambda: reached and reached[-1] >= 1, 'a second of the run')
+    nodes['encoder'].kill()
+    nodes['encoder'].communicate()
+    nodes['encoder'] = domain.start_node('encoder', made)
+    observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
+    assert nodes['simulator'].returncode == 0, nodes['simulator'].stdout.read()
+    for kind in ('encoder', 'controller', 'recorder'):
+        code, output = domain.stop(nodes[kind])
+        assert code == 0, output
+    assert_repeats(made.bag)
+
+
+def test_an_independent_reader_finds_every_message_in_order(domain, tmp_path):
+    code, output = domain.run(
+        'launcher', '--output', str(tmp_path / 'run'), '--duration', '1', '--composed'
+    )
+    assert code == 0, output
+    stamps = {}
+    with AnyReader([tmp_path / 'run' / 'bag']) as reader:
+        for connection, _, data in reader.messages():
+            stamp = reader.deserialize(data, connection.msgtype).header.stamp
+            stamps.setdefault(connection.topic, []).append(stamp.sec * 10**9 + stamp.nanosec)
+    expected = [step * 5_000_000 for step in range(201)]
+    assert stamps['/target'] == [0]
+    for topic in ('/configuration', '/latent_state', '/control_force'):
+        # A state that was answered late is there twice, one after the other.
+        assert [stamp for stamp, _ in itertools.groupby(stamps[topic])] == expected

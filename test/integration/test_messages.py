@@ -1,0 +1,243 @@
+"""What a node does with a message that it can't use: it reports and goes on."""
+
+from array import array
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.network import load_network
+from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
+from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
+
+NETWORK = load_network('paper_2')
+LATENT_NAMES = [f'xi_{i}' for i in range(5)]
+
+
+def configuration(stamp=0, **changes):
+    rest = NETWORK.rest_configuration
+    message = state_message(to_stamp(stamp), NETWORK.identifier, rest, np.zeros_like(rest))
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+class Client:
+    """Publishes to a node in a process and collects what it says."""
+
+    def __init__(self, observer, domain, kind, *parameters):
+        self.observer = observer
+        self.answers = []
+        arguments = [part for item in parameters for part in ('-p', item)]
+        self.process = domain.start(f'{kind}_node', '--ros-args', *arguments)
+        self.domain = domain
+        observer.wait_for_node(kind)
+
+    def connect(self, input_type, input_topic, output_type, output_topic):
+        node = self.observer.node
+        node.create_subscription(output_type, output_topic, self.answers.append, LOOP_QOS)
+        self.publisher = node.create_publisher(input_type, input_topic, LOOP_QOS)
+        self.observer.wait(
+            lambda: self.publisher.get_subscription_count()
+            and node.count_publishers(output_topic),
+            'the node to be matched',
+        )
+
+    def ask(self, message):
+        count = len(self.answers)
+        self.publisher.publish(message)
+        self.observer.wait(lambda: len(self.answers) > count, 'an answer')
+        return self.answers[-1]
+
+    def stop(self):
+        code, output = self.domain.stop(self.process)
+        assert code == 0, output
+        return output
+
+
+def test_encoder_reports_bad_configurations_and_goes_on(domain, observer):
+    client = Client(observer, domain, 'encoder')
+    client.connect(JointState, 'configuration', JointState, 'latent_state')
+    bad = {
+        'size': configuration(position=array('d', [0.0] * 399)),
+        'nan': configuration(velocity=array('d', [float('nan')] + [0.0] * 399)),
+        'names': configuration(name=['mass_000/x'] * 400),
+        'frame': configuration(),
+    }
+    bad['frame'].header.frame_id = 'paper_1@000000000000'
+    for message in bad.values():
+        client.publisher.publish(message)
+    # One connection keeps its order: an answer to this one says that the others had none.
+    answer = client.ask(configuration(5, name=NETWORK.coordinate_names))
+    assert len(client.answers) == 1
+    assert from_stamp(answer.header.stamp) == 5
+    autoencoder = load_checkpoint('paper_2_skip_m5').autoencoder()
+    expected, _ = autoencoder.encoder_jacobian_vector_product(
+        NETWORK.rest_configuration, np.zeros(400)
+    )
+    np.testing.assert_allclose(answer.position, expected, rtol=1e-12, atol=1e-12)
+    output = client.stop()
+    for words in ('400 positions, got 399', 'number 0 is nan', 'expected the names', 'paper_1@0'):
+        assert words in output
+
+
+def test_a_repeated_stamp_is_answered_the_same_and_an_earlier_one_begins_anew(domain, observer):
+    client = Client(observer, domain, 'encoder')
+    client.connect(JointState, 'configuration', JointState, 'latent_state')
+    first = client.ask(configuration(10**9))
+    assert client.ask(configuration(10**9)) == first
+    moved = configuration(0, position=array('d', (NETWORK.rest_configuration + 0.1).tobytes()))
+    anew = client.ask(moved)
+    assert from_stamp(anew.header.stamp) == 0
+    assert anew.position != first.position
+    client.stop()
+
+
+def test_controller_takes_targets_and_refuses_bad_ones(domain, observer):
+    client = Client(observer, domain, 'controller', 'law:=paper', 'proportional_gain:=1.0')
+    client.connect(JointState, 'latent_state', WrenchStamped, 'control_force')
+    targets = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
+    observer.wait(lambda: targets.get_subscription_count() > 0, 'the target to be matched')
+    identifier = load_checkpoint('paper_2_skip_m5').identifier
+
+    def latent(stamp):
+        return state_message(to_stamp(stamp), identifier, np.ones(5), np.zeros(5), LATENT_NAMES)
+
+    client.publisher.publish(latent(0))  # no target yet: no answer
+    reported = set()
+    observer.node.create_subscription(
+        DiagnosticArray,
+        '/diagnostics',
+        lambda array: reported.update(pair.key for pair in array.status[0].values),
+        10,
+    )
+    for bad, words in (
+        (JointState(position=array('d', [0.0] * 7)), '400 positions, got 7'),
+        (JointState(position=array('d', [float('inf')] * 400)), 'number 0 is inf'),
+        (JointState(name=['xi_0'], position=array('d', [0.0])), 'expected the names xi_0, xi_1'),
+    ):
+        targets.publish(bad)
+        observer.wait(
+            lambda words=words: any(words in key for key in reported), f'a report of {words}'
+        )
+    assert not client.answers
+    targets.publish(JointState(name=LATENT_NAMES, position=array('d', [1.0] * 5)))
+    stamp = 0
+
+    def next_answer():
+        nonlocal stamp
+        stamp += 1
+        client.publisher.publish(latent(stamp))
+        return bool(client.answers)
+
+    observer.wait(next_answer, 'the target to be taken')
+    at_target = client.answers[-1]
+    assert at_target.header.frame_id == 'mass_162'
+    assert from_stamp(at_target.header.stamp) > 0
+    # A target for later does not count yet; from its stamp on it does.
+    later = JointState(name=LATENT_NAMES, position=array('d', [0.5] * 5))
+    later.header.stamp = Time(sec=100)
+    targets.publish(later)
+    before = client.ask(latent(50 * 10**9))
+    assert before.wrench == at_target.wrench
+
+    def changed():
+        return client.ask(latent(100 * 10**9 + len(client.answers))).wrench != before.wrench
+
+    observer.wait(changed, 'the later target to be in force')
+    client.stop()
+
+
+def test_simulator_rejects_bad_forces_and_goes_on(domain, observer):
+    client = Client(observer, domain, 'simulator')
+    client.connect(WrenchStamped, 'control_force', JointState, 'configuration')
+    observer.wait(lambda: client.answers, 'the first state')
+    now = to_stamp(0)
+    bad = [
+        force_message(now, 100, np.zeros(2)),
+        force_message(now, 162, np.array([np.nan, 0.0])),
+        force_message(to_stamp(10**9), 162, np.zeros(2)),
+        WrenchStamped(),
+    ]
+    for message in bad:
+        client.publisher.publish(message)
+    client.publisher.publish(force_message(now, 162, np.array([1.0, 0.0])))
+    observer.wait(
+        lambda: from_stamp(client.answers[-1].header.stamp) == 5_000_000, 'the next step'
+    )
+    place = 2 * NETWORK.mobile_index(162)
+    assert client.answers[-1].velocity[place] > 0
+    output = client.stop()
+    for words in ('expected mass 162, got 100', 'number 0 is nan', 'of no state so far', 'frame'):
+        assert words in output
+
+
+def test_simulator_services_and_pushes(domain, observer):
+    client = Client(observer, domain, 'simulator')
+    client.connect(WrenchStamped, 'control_force', JointState, 'configuration')
+    observer.wait(lambda: client.answers, 'the first state')
+
+    def call(service_type, name, **request):
+        service = observer.node.create_client(service_type, f'/simulator/{name}')
+        observer.wait(service.service_is_ready, name)
+        future = service.call_async(service_type.Request(**request))
+        observer.wait(future.done, f'the answer of {name}')
+        return future.result().success
+
+    def stamp():
+        return from_stamp(client.answers[-1].header.stamp)
+
+    assert not call(Trigger, 'step')  # not paused
+    assert call(SetBool, 'pause', data=True)
+    client.publisher.publish(force_message(to_stamp(0), 162, np.array([1.0, 0.0])))
+    observer.wait(lambda: call(Trigger, 'step'), 'the force, and a step by hand')
+    observer.wait(lambda: stamp() == 5_000_000, 'the step')
+    assert not call(Trigger, 'step')  # the new state is not answered yet
+    assert call(SetBool, 'pause', data=False)
+    assert call(Trigger, 'reset')
+    observer.wait(lambda: stamp() == 10_000_000, 'the state after the reset')
+    np.testing.assert_array_equal(client.answers[-1].position, NETWORK.rest_configuration)
+    pushes = observer.node.create_publisher(WrenchStamped, 'external_force', LOOP_QOS)
+    observer.wait(lambda: pushes.get_subscription_count() > 0, 'the push to be matched')
+    pushes.publish(force_message(to_stamp(0), 204, np.array([0.0, 1e6])))  # over the limit
+    place = 2 * NETWORK.mobile_index(204) + 1
+
+    def pushed():
+        pushes.publish(force_message(to_stamp(0), 204, np.array([0.0, 5.0])))
+        client.ask(force_message(client.answers[-1].header.stamp, 162, np.zeros(2)))
+        return client.answers[-1].velocity[place] > 0.1
+
+    observer.wait(pushed, 'the push to move its mass')
+    assert 'expected at most 100 N' in client.stop()
+
+
+@pytest.mark.parametrize('kind', ['simulator', 'encoder', 'controller'])
+def test_parameters_are_described_and_read_only(domain, observer, kind):
+    from rcl_interfaces.srv import DescribeParameters, SetParameters
+
+    process = domain.start(f'{kind}_node')
+    observer.wait_for_node(kind)
+
+    def call(service_type, name, request):
+        client = observer.node.create_client(service_type, f'/{kind}/{name}')
+        observer.wait(client.service_is_ready, name)
+        future = client.call_async(request)
+        observer.wait(future.done, name)
+        return future.result()
+
+    request = DescribeParameters.Request(names=['network', 'expected_subscribers'])
+    described = call(DescribeParameters, 'describe_parameters', request).descriptors
+    assert all(item.description and item.read_only for item in described)
+    assert described[1].integer_range[0].to_value == 1000
+    change = Parameter('network', Parameter.Type.STRING, 'paper_1').to_parameter_msg()
+    result = call(SetParameters, 'set_parameters', SetParameters.Request(parameters=[change]))
+    assert not result.results[0].successful
+    assert result.results[0].reason
+    code, output = domain.stop(process)
+    assert code == 0, output

@@ -1,0 +1,84 @@
+"""Realtime mode, nodes started by hand, and stopping."""
+
+import itertools
+import signal
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+
+from dpc_ros.bag import read_run
+from dpc_ros.bag.convergence import analyse
+from dpc_ros.nodes.topics import LOOP_QOS
+from dpc_ros.resources import config_path
+
+LOOP = ('simulator', 'encoder', 'controller')
+REALTIME = ('--ros-args', '--params-file', str(config_path('realtime.yaml')))
+
+
+@pytest.mark.parametrize('order', list(itertools.permutations(LOOP))[::2], ids='-'.join)
+def test_nodes_started_by_hand_converge_in_any_order(domain, observer, tmp_path, order):
+    recorder = domain.start('recorder_node', '--ros-args', '-p', f'bag:={tmp_path / "bag"}')
+    observer.wait_for_node('recorder')
+    nodes = {}
+    for kind in order:
+        nodes[kind] = domain.start(f'{kind}_node', *REALTIME)
+        observer.wait_for_node(kind)
+    output, _ = nodes['simulator'].communicate(timeout=120)
+    assert nodes['simulator'].returncode == 0, output
+    for process in (nodes['encoder'], nodes['controller'], recorder):
+        code, output = domain.stop(process)
+        assert code == 0, output
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_array_equal(run.configuration_stamp, np.arange(1001) * 5_000_000)
+    convergence = analyse(run)
+    # What no control does is 1; a delayed force may cost an order over lockstep's 3e-4, not more.
+    assert convergence.final_nmse < 0.05
+
+
+def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tmp_path):
+    seen = []
+    observer.node.create_subscription(JointState, 'configuration', seen.append, LOOP_QOS)
+    launcher = domain.start(
+        'launcher', '--output', str(tmp_path / 'run'), '--realtime', '--duration', '0'
+    )
+    observer.wait(lambda: len(seen) > 100, 'a running loop')
+    launcher.send_signal(signal.SIGINT)
+    output, _ = launcher.communicate(timeout=120)
+    assert launcher.returncode == 130, output
+    observer.wait(
+        lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone'
+    )
+    run = read_run(tmp_path / 'run' / 'bag')
+    assert len(run.configuration) >= len(seen) > 100
+    assert not any(run.losses.values())
+
+
+def test_without_a_controller_a_realtime_body_is_left_alone(domain, observer, plan):
+    made = plan(
+        record=False,
+        simulator={
+            'time_mode': 'realtime',
+            'expected_subscribers': 1,
+            'duration': 0.0,
+            'force_timeout': 0.05,
+        },
+    )
+    states = []
+    observer.node.create_subscription(JointState, 'configuration', states.append, LOOP_QOS)
+    force = observer.node.create_publisher(WrenchStamped, 'control_force', LOOP_QOS)
+    simulator = domain.start_node('simulator', made)
+    observer.wait(lambda: states and force.get_subscription_count(), 'the first state')
+    message = WrenchStamped()
+    message.header.frame_id = 'mass_162'
+    message.wrench.force.x = 1.0
+    force.publish(message)  # one force, and silence: the watchdog takes it away
+    observer.wait(lambda: len(states) > 400, 'two seconds without a force')
+    code, output = domain.stop(simulator)
+    assert code == 0, output
+    assert 'stale' in output
+    early = np.abs(states[5].velocity).max()
+    late = np.abs(states[-1].velocity).max()
+    assert 0 < early
+    assert np.isfinite(late)
