@@ -65,8 +65,9 @@ def train(options: argparse.Namespace) -> None:
 
 def converge(options: argparse.Namespace) -> None:
     """Read a log back and show how the run converged; no ROS needed."""
-    from dpc_ros.bag import draw, table
+    from dpc_ros.bag import course, draw, table
     from dpc_ros.bag.report import converge as measure
+    from dpc_ros.results import write_results
 
     convergence, notes = measure(
         options.bag, options.network, options.checkpoint, options.namespace
@@ -79,6 +80,9 @@ def converge(options: argparse.Namespace) -> None:
     for note in notes:
         print(note)
     print(f'\nfigure      {figure}')
+    if options.results:
+        write_results(options.results, course(convergence))
+        print(f'results     {options.results}')
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -109,6 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument('--network', help='of the body, where it is not a shipped one')
     command.add_argument('--checkpoint', help='of the encoder, where it is not a shipped one')
     command.add_argument('--namespace', help='of the topics, where the log has several')
+    command.add_argument('--results', help='JSON to write the table to, as in docs/results')
     command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
     return parser
 

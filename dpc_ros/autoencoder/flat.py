@@ -87,14 +87,19 @@ def _fold(architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]) -> 
     encoder = _layers(tensors, 'encoder', sizes)
     decoder = _layers(tensors, 'decoder', sizes[::-1])
     mean = _shaped(tensors, 'configuration_mean', (n,))
-    scale = _positive(tensors, 'configuration_scale', ())
+    scale = tensors['configuration_scale']
+    if scale.size != 1:
+        raise ValueError(f'configuration_scale: expected one value, got shape {scale.shape}')
     latent_mean = _shaped(tensors, 'latent_mean', (m,))
-    latent_scale = _positive(tensors, 'latent_scale', (m,))
+    latent_scale = _shaped(tensors, 'latent_scale', (m,))
+    for name in ('configuration_scale', 'latent_scale', 'pod_scale'):
+        if not (tensors[name] > 0).all():
+            raise ValueError(f'{name}: expected positive values, got {tensors[name]}')
     encoder_offset, decoder_offset = -latent_mean, mean
     encoder_skip = decoder_skip = None
     if architecture.skip:
         basis = _shaped(tensors, 'pod_basis', (n, m))
-        pod_scale = _positive(tensors, 'pod_scale', (m,))
+        pod_scale = _shaped(tensors, 'pod_scale', (m,))
         inward, outward = (basis / pod_scale).T / scale, basis * pod_scale * scale
         encoder_skip = inward / latent_scale[:, None]
         decoder_skip = outward * latent_scale

@@ -112,10 +112,9 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
     if not isinstance(content, dict):
         raise ValueError(f'{path}: expected keys and values, got a {type(content).__name__}')
     known = {field.name for field in fields(Recipe)}
-    if content.keys() - known:
-        raise ValueError(
-            f'{path}: unknown keys {sorted(content.keys() - known)}, a recipe has {sorted(known)}'
-        )
+    unknown = sorted(str(key) for key in content.keys() - known)
+    if unknown:
+        raise ValueError(f'{path}: unknown keys {unknown}, a recipe has {sorted(known)}')
     try:
         return Recipe(**content)
     except (TypeError, ValueError) as error:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from tqdm import tqdm
 
@@ -43,6 +43,10 @@ def train(
 
     Returns:
         the module with the weights of the best validation epoch and normalised latents.
+
+    Raises:
+        ValueError: the state on disk is damaged or of another recipe, or no epoch had a finite
+            validation error.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
@@ -113,7 +117,7 @@ class _TrainingState:
     """Where a training stands: epoch, weights, Adam's moments, best weights; on disk and in memory.
 
     Raises:
-        ValueError: the file on disk belongs to another recipe.
+        ValueError: the file on disk is damaged or belongs to another recipe.
     """
 
     def __init__(
@@ -143,7 +147,16 @@ class _TrainingState:
             self._save()
 
     def restore_best(self) -> None:
-        """Put the best weights into the module and remove the file."""
+        """Put the best weights into the module and remove the file.
+
+        Raises:
+            ValueError: no epoch had a finite validation error.
+        """
+        if not np.isfinite(self.best_validation):
+            raise ValueError(
+                f'training {self._recipe.name}: the validation error was not finite in any epoch: '
+                'is the learning rate too high, or a configuration not finite?'
+            )
         self._module.load_state_dict(self._best)
         if self._path is not None:
             self._path.unlink(missing_ok=True)
@@ -165,10 +178,17 @@ class _TrainingState:
         os.replace(partial, self._path)
 
     def _load(self) -> None:
-        with safe_open(str(self._path), framework='pt') as file:
-            metadata = file.metadata()
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        if json.loads(metadata['recipe']) != self._recipe.as_dict():
+        try:
+            with safe_open(str(self._path), framework='pt') as file:
+                metadata = file.metadata()
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            recipe = json.loads(metadata['recipe'])
+        except (SafetensorError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(
+                f'{self._path}: expected the state of an unfinished training, but {error}: '
+                'remove the file'
+            ) from error
+        if recipe != self._recipe.as_dict():
             raise ValueError(
                 f'{self._path} is an unfinished training by another recipe: '
                 'finish that one, or remove the file'

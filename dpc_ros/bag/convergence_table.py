@@ -27,7 +27,7 @@ def table(convergence: Convergence) -> str:
         f'target      {describe_target(convergence)}',
         '',
         _row(_COLUMNS),
-        *(_row(_cells(convergence, time)) for time in row_times(convergence.time[-1])),
+        *(_row(_cells(row)) for row in course(convergence)),
         '',
         f'final nMSE     {_number(convergence.final_nmse)}'
         + ('  FAILED: the body ended farther from the target' if convergence.failed else ''),
@@ -62,16 +62,28 @@ def describe_target(convergence: Convergence) -> str:
     return f'{kind}{name} from {convergence.target_time:g} s' + suffix
 
 
-def _cells(convergence: Convergence, time: float) -> tuple[str, ...]:
+def course(convergence: Convergence) -> list[dict[str, float]]:
+    """Return the rows of the table as numbers: time, nMSE, latent error, force, energies.
+
+    A value is NaN where it was not measured.
+    """
     energy = convergence.energy
-    return (
-        f'{time:.2f}',
-        _number(_last(convergence.time, convergence.nmse, time)),
-        _number(_last(convergence.latent_time, convergence.latent_error, time)),
-        _number(_last(convergence.force_time, convergence.force_norm, time)),
-        _number(_last(convergence.time, energy.kinetic if energy else None, time)),
-        _number(_last(convergence.time, energy.potential if energy else None, time)),
-    )
+    signals = {
+        'nmse': (convergence.time, convergence.nmse),
+        'latent_error': (convergence.latent_time, convergence.latent_error),
+        'force_N': (convergence.force_time, convergence.force_norm),
+        'kinetic_J': (convergence.time, energy.kinetic if energy else None),
+        'potential_J': (convergence.time, energy.potential if energy else None),
+    }
+    return [
+        {'time_s': time, **{name: _last(*signal, time) for name, signal in signals.items()}}
+        for time in row_times(convergence.time[-1])
+    ]
+
+
+def _cells(row: dict[str, float]) -> tuple[str, ...]:
+    time, *values = row.values()
+    return (f'{time:.2f}', *(_number(value) for value in values))
 
 
 def _last(

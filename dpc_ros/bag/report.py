@@ -79,12 +79,12 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
 def _gravity(run: Run) -> Gravity | None:
     """Return the field that the simulator's parameters in the log name, if they are there."""
     record = run.metadata.get(PARAMETERS_RECORD, {})
-    content = yaml.safe_load(record.get('yaml', '')) or {}
-    for section, entry in content.items():
-        if section.split('/')[-1] == 'simulator':
-            parameters = entry.get('ros__parameters', {})
-            if 'gravity_magnitude' in parameters:
-                return Gravity(
-                    parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
-                )
-    return None
+    sections = yaml.safe_load(record.get('yaml', '')) or {}
+    parameters: dict[str, float] = {}
+    for name in ('/**', 'simulator', '/simulator', '/**/simulator'):
+        parameters |= sections.get(name, {}).get('ros__parameters', {})
+    if 'gravity_magnitude' not in parameters:
+        return None
+    return Gravity(
+        parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
+    )

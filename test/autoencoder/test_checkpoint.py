@@ -120,7 +120,7 @@ def test_json_that_is_no_checkpoint_is_refused(path, text):
 @pytest.mark.parametrize(
     ('changes', 'message'),
     [
-        ({'format': 'other'}, "expected a checkpoint, \"format\" should be 'dpc_ros.checkpoint'"),
+        ({'format': 'other'}, 'expected a checkpoint, "format" should be \'dpc_ros.checkpoint\''),
         ({'version': 2}, "kind 'flat', version 2; this dpc_ros reads 'flat', version 1"),
         ({'kind': 'graph'}, "kind 'graph', version 1"),
         ({'sha256': None}, r"expected the keys \['sha256'\]"),
@@ -157,7 +157,7 @@ def test_scales_have_to_be_positive(path, name):
 @pytest.mark.parametrize('name', ['encoder.0.weight', 'configuration_scale', 'pod_basis'])
 def test_missing_and_misshapen_tensors_are_named(path, name):
     rewrite_tensors(path, lambda tensors: tensors.update({name: np.ones((2, 7))}))
-    with pytest.raises(CheckpointError, match=f'{name}: expected shape'):
+    with pytest.raises(CheckpointError, match=f'{name}: expected'):
         load_checkpoint(path)
     rewrite_tensors(path, lambda tensors: tensors.pop(name))
     with pytest.raises(CheckpointError, match=f'{name}.* is missing'):

@@ -10,6 +10,9 @@ from dpc_ros.autoencoder.flat_module import FlatModule
 from dpc_ros.autoencoder.perceptron import Layer, Perceptron
 from dpc_ros.network import Integrator, simulate
 
+# torch compiles its own rules of forward mode when they are first needed.
+pytestmark = pytest.mark.filterwarnings('ignore:`torch.jit.script`:DeprecationWarning')
+
 KINDS = [(activation, skip) for activation in ('elu', 'silu') for skip in (False, True)]
 
 
@@ -77,9 +80,7 @@ def test_normalising_latents_leaves_the_reconstruction(module, small_configurati
 def test_encoder_moves_with_the_configuration(module, point):
     q, velocity, _, _ = point
     latent, latent_velocity = module.export().encoder_jacobian_vector_product(q, velocity)
-    expected = torch.func.jvp(
-        module.encode, (torch.from_numpy(q),), (torch.from_numpy(velocity),)
-    )
+    expected = torch.func.jvp(module.encode, (torch.from_numpy(q),), (torch.from_numpy(velocity),))
     np.testing.assert_allclose(latent, expected[0].detach(), atol=1e-10)
     np.testing.assert_allclose(latent_velocity, expected[1].detach(), atol=1e-10)
 

@@ -39,7 +39,7 @@ def test_defaults_are_filled_in(tmp_path):
         ('epochs: many', r"epochs: expected a whole number ≥ 1, got 'many'"),
         ('batch_size: -1', r'batch_size: expected a whole number'),
         ('step_epochs: 0', r'step_epochs: expected a whole number'),
-        ('learning_rate: 1e-3', r"learning_rate: expected a number, got '1e-3' \(write 1.0e-3"),
+        ('learning_rate: 1e-3', r"learning_rate: expected a number \(YAML: 1\.0e-3\), got '1e-3'"),
         ('learning_rate: -0.1', r'learning_rate: expected a finite number ≥ 0'),
         ('learning_rate: .nan', r'learning_rate: expected a finite number'),
         ('weight_decay: .inf', r'weight_decay: expected a finite number'),
