@@ -85,6 +85,4 @@ def _gravity(run: Run) -> Gravity | None:
         parameters |= sections.get(name, {}).get('ros__parameters', {})
     if 'gravity_magnitude' not in parameters:
         return None
-    return Gravity(
-        parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
-    )
+    return Gravity(parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle))

@@ -53,8 +53,11 @@ def reduced_equilibrium(
         start: latent to begin from; the equilibrium of a nearby force.
 
     Raises:
-        EquilibriumError: no convergence within the bound on iterations.
+        EquilibriumError: no convergence within the bound on iterations, or a force or start that
+            is not finite.
     """
+    if not (np.isfinite(force).all() and np.isfinite(start).all()):
+        raise EquilibriumError(f'expected a finite force and start, got {force} N and {start}')
     latent = np.array(start, dtype=float)
     for _ in range(_NEWTON_ITERATIONS):
         value = system.potential(latent, force)
@@ -69,7 +72,7 @@ def reduced_equilibrium(
             scale *= 0.5
         latent = latent + scale * direction
     residual = np.abs(system.potential_gradient(latent, force)).max()
-    if residual > _TOLERANCE:
+    if not residual <= _TOLERANCE:  # also where it is not a number
         raise EquilibriumError(
             f'no static equilibrium under the force {np.round(force, 3).tolist()} N: the gradient '
             f'of the potential stays at {residual:.1e}; is the force beyond the training data?'

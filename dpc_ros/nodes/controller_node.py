@@ -61,10 +61,8 @@ class ControllerNode(LoopNode):
             self._law.regulate(self._first_target)  # a bad target is refused now; warms up, too
         self._control_force = self.create_output('control_force')
         self._target_publisher = self.create_output('target') if self._first_target else None
-        self._inputs = [
-            self.create_input('latent_state', self._control),
-            self.create_input('target', self._take_target),
-        ]
+        self.create_input('latent_state', self._control)
+        self.create_input('target', self._take_target)
 
     def activate(self) -> None:
         if self._first_target is None:
@@ -73,10 +71,6 @@ class ControllerNode(LoopNode):
             self._target_publisher.publish(
                 target_message(self._first_target, self._network.identifier)
             )
-
-    def clean_up(self) -> None:
-        for subscription in getattr(self, '_inputs', []):
-            self.destroy_subscription(subscription)
 
     def _take_target(self, message: JointState) -> None:
         try:

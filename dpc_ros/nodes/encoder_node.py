@@ -41,11 +41,7 @@ class EncoderNode(LoopNode):
         rest = network.rest_configuration
         self._autoencoder.encoder_jacobian_vector_product(rest, np.zeros_like(rest))  # warm up
         self._latent_state = self.create_output('latent_state')
-        self._configuration = self.create_input('configuration', self._encode)
-
-    def clean_up(self) -> None:
-        if hasattr(self, '_configuration'):
-            self.destroy_subscription(self._configuration)
+        self.create_input('configuration', self._encode)
 
     def _encode(self, message: JointState, info: dict[str, int]) -> None:
         if not self.active:

@@ -82,8 +82,8 @@ def _run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
         processes.start()
         spin_until(executor, lambda: _tick(monitor) or bool(stop) or processes.is_over())
     finally:
-        processes.stop()
         monitor.close()
+        processes.stop()
         executor.shutdown()
         monitor.destroy_node()
     return processes.failure, processes.exit_code
@@ -111,8 +111,9 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
     finally:
         monitor.close()
         executor.shutdown()
-        for node in (monitor, *nodes.values()):
-            node.destroy_node()
+        monitor.destroy_node()
+        for node in nodes.values():
+            node.close()
     failures = [f'{kind}: {node.failure}' for kind, node in nodes.items() if node.failure]
     return (failures[0], 1) if failures else ('', 0)
 
@@ -126,11 +127,14 @@ def _report(plan: LaunchPlan) -> int:
     if plan.bag is None:
         print(f'parameters  {plan.parameters_file}')
         return 0
-    convergence, notes = converge(
-        plan.bag,
-        plan.parameters['simulator']['network'],
-        plan.parameters['encoder']['checkpoint'],
-    )
+    try:
+        convergence, notes = converge(
+            plan.bag,
+            plan.parameters['simulator']['network'],
+            plan.parameters['encoder']['checkpoint'],
+        )
+    except ValueError as error:
+        return _complain(str(error), 1)
     figure = plan.folder / 'convergence.png'
     draw(convergence, figure)
     print(table(convergence))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.health import Health, diagnostic_array
@@ -33,7 +35,8 @@ class LoopNode(LifecycleNode):
     """A lifecycle node around one object of the core.
 
     A subclass fills in `configure` (everything slow; raises ValueError or OSError with the reason)
-    and, where it has something to do, `activate`, `deactivate`, `clean_up` and `finish`.
+    and, where it has something to do, `activate`, `deactivate`, `clean_up` and `finish`. Inputs and
+    outputs that it creates are destroyed with the rest at clean-up.
 
     Attributes:
         settings: its parameters by name.
@@ -51,6 +54,7 @@ class LoopNode(LifecycleNode):
         self.active = False
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._outputs: list[Publisher] = []
+        self._inputs: list[Subscription] = []
         self._matched = False
         self._said: dict[str, float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -66,7 +70,7 @@ class LoopNode(LifecycleNode):
         """Stop acting; a later `activate` goes on."""
 
     def clean_up(self) -> None:
-        """Let go of what `configure` made, so that it can be called again."""
+        """Let go of what else `configure` made; it may have stopped half-way."""
 
     def is_drained(self) -> bool:
         """Return whether everything that was on its way to the node has come."""
@@ -109,10 +113,12 @@ class LoopNode(LifecycleNode):
         self._outputs.append(publisher)
         return publisher
 
-    def create_input(self, topic: str, callback: Callable[..., None], raw: bool = False) -> Any:
-        """Subscribe to a topic of the loop; the callback takes the message and its info."""
+    def create_input(self, topic: str, callback: Callable[..., None], raw: bool = False) -> None:
+        """Subscribe to a topic of the loop; a callback may take the message's info as well."""
         entry = TOPICS[topic]
-        return self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
+        self._inputs.append(
+            self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
+        )
 
     def matched(self, publisher: Publisher) -> bool:
         """Return whether a publisher has had, once, the subscriptions that it is to wait for."""
@@ -158,6 +164,11 @@ class LoopNode(LifecycleNode):
             if not publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT):
                 self.get_logger().warning(f'not all of {publisher.topic_name} was acknowledged')
 
+    def close(self) -> None:
+        """Let go of everything; the node is of no use afterwards."""
+        self._clean_up()
+        self.destroy_node()
+
     def _transition(self, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             action()
@@ -165,6 +176,10 @@ class LoopNode(LifecycleNode):
             self.failure = str(error)
             self._clean_up()
             return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would swallow it
+            traceback.print_exc()
+            self.failure = f'{type(error).__name__}: {error}'
+            raise
         self.failure = ''
         return TransitionCallbackReturn.SUCCESS
 
@@ -172,7 +187,10 @@ class LoopNode(LifecycleNode):
         self.clean_up()
         for publisher in self._outputs:
             self.destroy_publisher(publisher)
+        for subscription in self._inputs:
+            self.destroy_subscription(subscription)
         self._outputs.clear()
+        self._inputs.clear()
         self._matched = False
 
     def _report(self) -> None:
@@ -202,10 +220,11 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
                 finish(executor, [node])
         finally:
             executor.shutdown()
+            node.close()
         if node.failure:
             print(f'error: {node.get_name()}: {node.failure}', file=sys.stderr)
-        node.destroy_node()
-        return 1 if node.failure else 0
+            return 1
+        return 0
 
 
 def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:

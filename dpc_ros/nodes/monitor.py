@@ -48,8 +48,9 @@ class Monitor(Node):
                 self._show()
 
     def close(self) -> None:
-        """End the bar with what came last."""
+        """End the bar with what came last; the nodes are about to finish."""
         self.refresh(final=True)
+        self._bar.set_description_str('finishing')
         self._bar.close()
 
     def _show(self) -> None:

@@ -27,11 +27,15 @@ class RecorderNode(LoopNode):
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('recorder', context)
+        self._writer: BagWriter | None = None
+        self._sequences: dict[str, SequenceCounter] = {}
+        self._last_message: float | None = None
 
     def configure(self) -> None:
         settings = self.settings
         parameters_file = settings['parameters_file']
         parameters = Path(parameters_file).read_text() if parameters_file else ''
+        self._sequences = {}
         self._writer = BagWriter(
             settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
             ros_distro=os.environ.get('ROS_DISTRO', 'jazzy'),
@@ -39,19 +43,14 @@ class RecorderNode(LoopNode):
         )
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
-        self._sequences: dict[str, SequenceCounter] = {}
-        self._last_message: float | None = None
-        self._inputs = [
+        for topic in settings['topics']:
             self.create_input(topic, partial(self._record, topic), raw=True)
-            for topic in settings['topics']
-        ]
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def clean_up(self) -> None:
-        for subscription in getattr(self, '_inputs', []):
-            self.destroy_subscription(subscription)
-        if hasattr(self, '_writer'):
+        if self._writer is not None:
             self._writer.close()
+            self._writer = None
 
     def is_drained(self) -> bool:
         """Return whether no message has come for a while since it was first asked."""
@@ -60,24 +59,28 @@ class RecorderNode(LoopNode):
         return time.monotonic() - self._last_message > _QUIET
 
     def finish(self) -> None:
-        lost = sum(counter.lost for counter in self._sequences.values())
-        self.get_logger().info(
-            f'recorded {sum(self._writer.message_counts.values())} messages to '
-            f'{self._writer.folder}, {lost} lost'
-        )
-        self.clean_up()
+        if self._writer is not None:
+            lost = sum(counter.lost for counter in self._sequences.values())
+            count = sum(self._writer.message_counts.values())
+            self.get_logger().info(f'recorded {count} messages, {lost} lost')
 
     def _record(self, topic: str, data: bytes, info: dict[str, int]) -> None:
-        if not self.active:
+        if not self.active or self._writer is None:
             return
         self._last_message = time.monotonic()
         self.health.received += 1
+        try:
+            self._write(self._writer, topic, data, info)
+        except OSError as error:
+            self.fail(f'{self._writer.folder} can not be written any further: {error}')
+
+    def _write(self, writer: BagWriter, topic: str, data: bytes, info: dict[str, int]) -> None:
         name = self.resolve_topic_name(topic)
         if topic not in self._sequences:
             self._sequences[topic] = SequenceCounter()
-            self._writer.add_topic(self._describe(topic, name))
+            writer.add_topic(self._describe(topic, name))
         self._sequences[topic].add(info['publication_sequence_number'])
-        self._writer.write(
+        writer.write(
             name,
             data,
             log_time_ns=info['received_timestamp'],

@@ -8,6 +8,8 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
+from rclpy.service import Service
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
@@ -28,6 +30,9 @@ class SimulatorNode(LoopNode):
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('simulator', context)
+        self._commands: list[Service] = []
+        self._stepper: Timer | None = None
+        self._watchdog: Timer | None = None
 
     def configure(self) -> None:
         settings = self.settings
@@ -55,17 +60,13 @@ class SimulatorNode(LoopNode):
         self._clock_publisher = (
             self.create_publisher(ClockMessage, '/clock', 1) if settings['publish_clock'] else None
         )
-        self._inputs = [
-            self.create_input('control_force', self._take_force),
-            self.create_input('external_force', self._take_push),
-        ]
+        self.create_input('control_force', self._take_force)
+        self.create_input('external_force', self._take_push)
         self._commands = [
             self.create_service(Trigger, '~/reset', self._reset),
             self.create_service(SetBool, '~/pause', self._pause),
             self.create_service(Trigger, '~/step', self._single_step),
         ]
-        self._stepper = None
-        self._watchdog = None
 
     def activate(self) -> None:
         self._published_at = self._answered_at = self._now()
@@ -82,10 +83,10 @@ class SimulatorNode(LoopNode):
         self._running = False
 
     def clean_up(self) -> None:
-        for subscription in getattr(self, '_inputs', []):
-            self.destroy_subscription(subscription)
-        for service in getattr(self, '_commands', []):
+        self.deactivate()
+        for service in self._commands:
             self.destroy_service(service)
+        self._commands = []
 
     @property
     def _awaited(self) -> int:

@@ -1,0 +1,114 @@
+"""`dpc` as a user meets it: its help, its answers to bad input, and what it writes."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dpc_ros
+from dpc_ros.data import load_dataset
+from dpc_ros.network import save_network
+
+COMMANDS = ['simulate', 'train', 'converge']
+
+
+@pytest.fixture
+def dpc(tmp_path):
+    """Run `dpc` in an empty folder."""
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, '-m', 'dpc_ros.cli', *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, 'MPLBACKEND': 'agg', 'COLUMNS': '100'},
+        )
+
+    return run
+
+
+@pytest.mark.parametrize('command', [[], *([name] for name in COMMANDS)], ids=' '.join)
+def test_help_says_what_a_command_does(dpc, command):
+    run = dpc(*command, '--help')
+    assert run.returncode == 0
+    assert run.stderr == ''
+    assert run.stdout.startswith(f'usage: {" ".join(["dpc", *command])}')
+    if not command:
+        assert all(name in run.stdout for name in COMMANDS)
+
+
+def test_version(dpc):
+    assert dpc('--version').stdout.strip() == dpc_ros.__version__
+
+
+@pytest.mark.parametrize(
+    'arguments', [[], ['melt'], ['simulate'], ['train'], ['simulate', 'grid', '--colour', 'red']]
+)
+def test_bad_usage_shows_the_usage(dpc, arguments):
+    run = dpc(*arguments)
+    assert run.returncode == 2
+    assert run.stderr.startswith('usage: dpc')
+    assert 'Traceback' not in run.stderr
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'message'),
+    [
+        (['simulate', 'paper_9'], 'paper_1, paper_2, paper_3, paper_4, paper_5'),
+        (['simulate', 'here/nothing.json'], "'here/nothing.json'"),
+        (['simulate', 'bad.json'], 'bad.json: expected a network as JSON'),
+        (['simulate', 'paper_2', '--integrator', 'euler'], "unknown integrator 'euler'"),
+        (['simulate', 'paper_2', '--thinning-distance', 'nan'], 'thinning distance'),
+        (['simulate', 'paper_2', '--thinning-distance', '-1'], 'thinning distance'),
+        (['train', '--config', 'nothing'], "'nothing'"),
+        (['train', '--config', 'bad.yaml'], 'bad.yaml: expected YAML'),
+        (['train', '--config', 'odd.yaml'], "bad.yaml' or one of the shipped names"),
+        (['train', '--config', 'paper_2_flat_m2', '--data', 'bad.npz'], 'bad.npz: expected a data'),
+        (['converge', 'nothing'], 'nothing'),
+        (['converge', 'bad.mcap'], 'bad.mcap'),
+    ],
+    ids=lambda value: ' '.join(value) if isinstance(value, list) else '',
+)
+def test_bad_input_ends_with_one_line_and_leaves_nothing(dpc, tmp_path, arguments, message):
+    (tmp_path / 'bad.json').write_text('{"name": ')
+    (tmp_path / 'bad.yaml').write_text('name: [mine\nnetwork: x\n')
+    (tmp_path / 'odd.yaml').write_text("name: odd\nnetwork: './bad.yaml'\n")
+    (tmp_path / 'bad.npz').write_bytes(b'PK\x03\x04')
+    (tmp_path / 'bad.mcap').write_bytes(b'\x89MCAP0\r\n')
+    before = sorted(tmp_path.rglob('*'))
+    run = dpc(*arguments)
+    assert run.returncode == 2
+    assert run.stdout == ''
+    assert 'Traceback' not in run.stderr
+    lines = [line for line in run.stderr.splitlines() if 'simulation/s' not in line and line]
+    progress = [line for line in lines if line.startswith('\rsimulating') or 'simulating' in line]
+    (error,) = [line for line in lines if line not in progress]
+    assert error.startswith('error: ')
+    assert message in error
+    assert sorted(tmp_path.rglob('*')) == before
+
+
+def test_simulate_writes_the_data_of_a_network(dpc, tmp_path, small_network):
+    save_network(small_network, tmp_path / 'mine.json')
+    run = dpc('simulate', 'mine.json', '--thinning-distance', '0.3')
+    assert run.returncode == 0, run.stderr
+    assert small_network.identifier in run.stdout
+    files = [path for path in (tmp_path / 'runs').rglob('*') if path.is_file()]
+    assert files == [tmp_path / 'runs' / 'data' / 'grid.npz']
+    dataset = load_dataset(files[0])
+    assert dataset.provenance['network_digest'] == small_network.digest
+    assert dataset.provenance['thinning_distance_m'] == 0.3
+    assert len(np.unique(dataset.test_simulation)) == 28
+    assert f'test        {len(dataset.test)} configurations of 28 simulations' in run.stdout
+
+
+def test_simulate_writes_where_it_is_told(dpc, tmp_path, small_network):
+    save_network(small_network, tmp_path / 'mine.json')
+    run = dpc('simulate', 'mine.json', '--output', 'there/data.npz')
+    assert run.returncode == 0, run.stderr
+    written = [path.name for path in tmp_path.rglob('*') if path.is_file()]
+    assert sorted(written) == ['data.npz', 'mine.json']
