@@ -1,6 +1,7 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import hypothesis
 import numpy as np
@@ -168,14 +169,16 @@ def make_module(small_configurations):
 @pytest.fixture(scope='session')
 def small_autoencoder(make_module):
     """Return a function: latent size → POD bent by small random networks."""
-    return lambda latent_size: make_module(latent_size).export()
+    return cache(lambda latent_size: make_module(latent_size).export())
 
 
 @pytest.fixture(scope='session')
 def small_system(small_mechanics, small_autoencoder):
     """Return a function: latent size → the compressed small body, actuated at a lower corner."""
-    return lambda latent_size: CompressedSystem(
-        small_mechanics, small_autoencoder(latent_size), actuated_mass=14
+    return cache(
+        lambda latent_size: CompressedSystem(
+            small_mechanics, small_autoencoder(latent_size), actuated_mass=14
+        )
     )
 
 

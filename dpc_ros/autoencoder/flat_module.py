@@ -23,6 +23,13 @@ class FlatModule(nn.Module):
     scale of the latents, which `normalise_latents` sets after training.
     """
 
+    configuration_mean: Tensor
+    configuration_scale: Tensor
+    latent_mean: Tensor
+    latent_scale: Tensor
+    pod_basis: Tensor
+    pod_scale: Tensor
+
     def __init__(self, architecture: FlatArchitecture) -> None:
         super().__init__()
         self.architecture = architecture

@@ -108,7 +108,8 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
     try:
         content = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
-        raise ValueError(f'{path}: expected YAML, but {error}') from error
+        one_line = ' '.join(str(error).split())
+        raise ValueError(f'{path}: expected YAML, but {one_line}') from error
     if not isinstance(content, dict):
         raise ValueError(f'{path}: expected keys and values, got a {type(content).__name__}')
     known = {field.name for field in fields(Recipe)}

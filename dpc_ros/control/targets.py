@@ -107,7 +107,7 @@ def _target_from_file(specification: str) -> Target:
         content = json.loads(path.read_text())
         keys = {'configuration', 'latent'} & content.keys()
         values = {key: np.array(content[key], dtype=float) for key in keys}
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, OverflowError, TypeError, ValueError) as error:
         raise TargetError(f'target {specification!r}: {_SYNTAX}, but {error}') from error
     if len(keys) != 1 or any(value.ndim != 1 for value in values.values()):
         raise TargetError(f'target {specification!r}: {_SYNTAX}, one list of numbers')

@@ -14,6 +14,7 @@ from dpc_ros.nodes.parameters import ParameterError, declarations
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
+LAUNCHER = 'launcher'
 _STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
 _OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
 MONITORED = ('configuration', 'control_force')  # topics that the launcher itself reads
@@ -119,9 +120,9 @@ def make_plan(
     recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in overrides.get(node, {}):
-            parameters[node]['expected_subscribers'] = (
-                1 + (output in recorded) + (output in MONITORED)
-            )
+            readers = [*declarations(node)['expected_subscribers'].default]
+            readers += [RECORDER] * (output in recorded) + [LAUNCHER] * (output in MONITORED)
+            parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
 
 

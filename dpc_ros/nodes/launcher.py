@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import datetime
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rclpy.context import Context
 
 from dpc_ros.bag import draw, table
 from dpc_ros.bag.report import converge
@@ -25,7 +27,7 @@ from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.resources import config_path
 from dpc_ros.threads import single_threaded_algebra
 
-_NODE_CLASSES: dict[str, type[LoopNode]] = {
+_NODE_CLASSES: dict[str, Callable[[Context], LoopNode]] = {
     'simulator': SimulatorNode,
     'encoder': EncoderNode,
     'controller': ControllerNode,

@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 
 from dpc_ros.nodes.executor import make_executor
@@ -39,6 +40,7 @@ class LoopNode(LifecycleNode):
     outputs that it creates are destroyed with the rest at clean-up.
 
     Attributes:
+        kind: which of the nodes it is, and its name where it isn't remapped.
         settings: its parameters by name.
         health: its counts.
         failure: why it failed; empty while all is well.
@@ -47,6 +49,7 @@ class LoopNode(LifecycleNode):
 
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
+        self.kind = kind
         self.settings: Mapping[str, Any] = declare_parameters(self, kind)
         self.health = Health()
         self.failure = ''
@@ -121,15 +124,23 @@ class LoopNode(LifecycleNode):
         )
 
     def matched(self, publisher: Publisher) -> bool:
-        """Return whether a publisher has had, once, the subscriptions that it is to wait for."""
+        """Return whether the nodes that a publisher is to wait for were all subscribed, once.
+
+        Their endpoints are known from the graph; the publisher is matched with all that it can
+        reach when it has as many subscriptions as there are endpoints that fit it.
+        """
         if not self._matched:
-            expected = self.settings['expected_subscribers']
-            found = publisher.get_subscription_count()
-            self._matched = found >= expected
-            if not self._matched:
-                self.say(
-                    f'waiting for {expected} subscriptions of {publisher.topic_name}, has {found}'
-                )
+            endpoints = [
+                endpoint
+                for endpoint in self.get_subscriptions_info_by_topic(publisher.topic_name)
+                if endpoint.qos_profile.durability == DurabilityPolicy.VOLATILE
+            ]
+            present = {endpoint.node_name for endpoint in endpoints}
+            missing = set(self.settings['expected_subscribers']) - present
+            if missing:
+                self.say(f'waiting for {", ".join(sorted(missing))} on {publisher.topic_name}')
+            else:
+                self._matched = publisher.get_subscription_count() >= len(endpoints)
         return self._matched
 
     def publish(self, publisher: Publisher, message: Any) -> None:
@@ -222,7 +233,7 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
             executor.shutdown()
             node.close()
         if node.failure:
-            print(f'error: {node.get_name()}: {node.failure}', file=sys.stderr)
+            print(f'error: {node.kind}: {node.failure}', file=sys.stderr)
             return 1
         return 0
 

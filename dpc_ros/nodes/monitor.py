@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
-from dpc_ros.nodes.launch_plan import MONITORED, LaunchPlan
+from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.topics import TOPICS
 
@@ -24,7 +24,7 @@ class Monitor(Node):
     """Keeps the newest message of each topic as bytes; reads them only to refresh the bar."""
 
     def __init__(self, plan: LaunchPlan, context: Context) -> None:
-        super().__init__('launcher', context=context)
+        super().__init__(LAUNCHER, context=context)
         self._newest: dict[str, bytes] = {}
         self._start: np.ndarray | None = None
         for topic in MONITORED:

@@ -71,9 +71,7 @@ def test_feed_forward_recovers_the_force_of_an_equilibrium(small_system, size, f
 
 @settings(max_examples=10)
 @given(SIZES, st.integers(0, 10**6))
-def test_no_force_nearby_comes_nearer_the_target(
-    small_system, small_configurations, size, number
-):
+def test_no_force_nearby_comes_nearer_the_target(small_system, small_configurations, size, number):
     system = small_system(size)
     target = small_configurations[number % len(small_configurations)]
     solution = feed_forward(system, target)

@@ -80,24 +80,26 @@ def test_paper_law_is_its_formula(small_system, goal, latent, velocity):
     np.testing.assert_allclose(law.force(latent, velocity), expected, rtol=1e-9, atol=1e-9)
 
 
-def test_reduced_equilibrium_law_rests_at_its_equilibrium(small_system, target):
-    system = small_system(3)
-    law = ReducedEquilibriumLaw(system, ALPHA, BETA)
+@pytest.fixture(scope='module')
+def resting(small_system, target):
+    """The reduced-equilibrium law with the feed-forward that it rests on."""
+    law = ReducedEquilibriumLaw(small_system(3), ALPHA, BETA)
     law.regulate(target)
-    solution = feed_forward(system, target.configuration)
+    return law, feed_forward(law.system, target.configuration)
+
+
+def test_reduced_equilibrium_law_rests_at_its_equilibrium(resting):
+    law, solution = resting
     force = law.force(solution.latent, np.zeros(3))
     np.testing.assert_array_equal(force, solution.force)
-    gradient = system.potential_gradient(solution.latent, force)
+    gradient = law.system.potential_gradient(solution.latent, force)
     np.testing.assert_allclose(gradient, 0, atol=1e-7)
 
 
 @given(offset=vectors(3), velocity=vectors(3))
-def test_reduced_equilibrium_law_is_its_formula(small_system, target, offset, velocity):
-    system = small_system(3)
-    law = ReducedEquilibriumLaw(system, ALPHA, BETA)
-    law.regulate(target)
-    solution = feed_forward(system, target.configuration)
-    field = system.input_field(solution.latent)
+def test_reduced_equilibrium_law_is_its_formula(resting, offset, velocity):
+    law, solution = resting
+    field = law.system.input_field(solution.latent)
     expected = solution.force - field.T @ (ALPHA * offset + BETA * velocity)
     force = law.force(solution.latent + offset, velocity)
     np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-9)

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -35,6 +36,7 @@ class Domain:
 
     number: int
     processes: list[subprocess.Popen] = field(default_factory=list)
+    left_behind: set[Path] = field(default_factory=set)
 
     @property
     def environment(self) -> dict[str, str]:
@@ -65,6 +67,13 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
+    def kill(self, process: subprocess.Popen) -> None:
+        """Kill a process, and remember the shared memory that it can't remove any more."""
+        maps = Path(f'/proc/{process.pid}/maps').read_text()
+        self.left_behind |= {Path(path) for path in re.findall(r'/dev/shm/\S*fastrtps\S*', maps)}
+        process.kill()
+        process.communicate()
+
     def stop(self, process: subprocess.Popen) -> tuple[int, str]:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
@@ -86,6 +95,8 @@ def domain():
             process.kill()
             process.wait()
             process.stdout.close()
+        for path in domain.left_behind:
+            path.unlink(missing_ok=True)
 
 
 @pytest.fixture
@@ -125,10 +136,11 @@ def plan(tmp_path):
     """Make the plan of a run whose nodes a test starts itself."""
 
     def make(folder: str = 'run', record: bool = True, **overrides) -> LaunchPlan:
-        readers = 2 if record else 1
+        recorder = ['recorder'] if record else []
         merged = {
-            kind: {'expected_subscribers': readers}
-            for kind in ('simulator', 'encoder', 'controller')
+            'simulator': {'expected_subscribers': ['encoder', *recorder]},
+            'encoder': {'expected_subscribers': ['controller', *recorder]},
+            'controller': {'expected_subscribers': ['simulator', *recorder]},
         }
         for kind, values in overrides.items():
             merged.setdefault(kind, {}).update(values)

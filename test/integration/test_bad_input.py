@@ -104,14 +104,17 @@ def test_launcher_passes_on_the_failure_of_a_node(domain, tmp_path, mode):
 
 def test_a_lone_simulator_gives_up_with_a_reason(domain):
     code, output = run_node(
-        domain, 'simulator', 'expected_subscribers:=0', 'startup_timeout:=0.5'
+        domain, 'simulator', 'expected_subscribers:=[launcher]', 'startup_timeout:=0.5'
     )
     assert code == 1
     assert_one_clear_error(output, 'no control_force', 'startup_timeout = 0.5 s')
 
 
 def test_a_broken_network_file(domain, tmp_path):
-    content = {**json.loads(config_path('systems', 'paper_2.json').read_text()), 'fixed': [0, 1, 2, 3, 400]}
+    content = {
+        **json.loads(config_path('systems', 'paper_2.json').read_text()),
+        'fixed': [0, 1, 2, 3, 400],
+    }
     path = tmp_path / 'broken.json'
     path.write_text(json.dumps(content))
     code, output = run_node(domain, 'simulator', f'network:={path}')

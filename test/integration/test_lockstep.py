@@ -45,8 +45,7 @@ def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, 
 
 @pytest.mark.parametrize('late', ['encoder', 'controller'])
 def test_a_late_node_catches_up(domain, observer, plan, assert_repeats, late):
-    made = plan(simulator={'expected_subscribers': 1, 'resend_interval': 0.05})
-    # The observer is the subscription that lets the simulator begin without the encoder.
+    made = plan(simulator={'expected_subscribers': ['recorder'], 'resend_interval': 0.05})
     seen = []
     observer.node.create_subscription(
         JointState, 'configuration', lambda message: seen.append(message), LOOP_QOS
@@ -77,8 +76,7 @@ def test_a_restarted_encoder_catches_up(domain, observer, plan, assert_repeats):
     )
     nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', *LOOP)}
     observer.wait(lambda: reached and reached[-1] >= 1, 'a second of the run')
-    nodes['encoder'].kill()
-    nodes['encoder'].communicate()
+    domain.kill(nodes['encoder'])
     nodes['encoder'] = domain.start_node('encoder', made)
     observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
     assert nodes['simulator'].returncode == 0, nodes['simulator'].stdout.read()

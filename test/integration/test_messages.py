@@ -34,6 +34,7 @@ class Client:
     def __init__(self, observer, domain, kind, *parameters):
         self.observer = observer
         self.answers = []
+        parameters = ('expected_subscribers:=[observer]', *parameters)
         arguments = [part for item in parameters for part in ('-p', item)]
         self.process = domain.start(f'{kind}_node', '--ros-args', *arguments)
         self.domain = domain
@@ -44,8 +45,7 @@ class Client:
         node.create_subscription(output_type, output_topic, self.answers.append, LOOP_QOS)
         self.publisher = node.create_publisher(input_type, input_topic, LOOP_QOS)
         self.observer.wait(
-            lambda: self.publisher.get_subscription_count()
-            and node.count_publishers(output_topic),
+            lambda: self.publisher.get_subscription_count() and node.count_publishers(output_topic),
             'the node to be matched',
         )
 
@@ -168,9 +168,7 @@ def test_simulator_rejects_bad_forces_and_goes_on(domain, observer):
     for message in bad:
         client.publisher.publish(message)
     client.publisher.publish(force_message(now, 162, np.array([1.0, 0.0])))
-    observer.wait(
-        lambda: from_stamp(client.answers[-1].header.stamp) == 5_000_000, 'the next step'
-    )
+    observer.wait(lambda: from_stamp(client.answers[-1].header.stamp) == 5_000_000, 'the next step')
     place = 2 * NETWORK.mobile_index(162)
     assert client.answers[-1].velocity[place] > 0
     output = client.stop()
@@ -231,10 +229,10 @@ def test_parameters_are_described_and_read_only(domain, observer, kind):
         observer.wait(future.done, name)
         return future.result()
 
-    request = DescribeParameters.Request(names=['network', 'expected_subscribers'])
+    request = DescribeParameters.Request(names=['network', 'executor'])
     described = call(DescribeParameters, 'describe_parameters', request).descriptors
     assert all(item.description and item.read_only for item in described)
-    assert described[1].integer_range[0].to_value == 1000
+    assert 'kept_wait_set' in described[1].additional_constraints
     change = Parameter('network', Parameter.Type.STRING, 'paper_1').to_parameter_msg()
     result = call(SetParameters, 'set_parameters', SetParameters.Request(parameters=[change]))
     assert not result.results[0].successful

@@ -47,9 +47,7 @@ def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tm
     launcher.send_signal(signal.SIGINT)
     output, _ = launcher.communicate(timeout=120)
     assert launcher.returncode == 130, output
-    observer.wait(
-        lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone'
-    )
+    observer.wait(lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone')
     run = read_run(tmp_path / 'run' / 'bag')
     assert len(run.configuration) >= len(seen) > 100
     assert not any(run.losses.values())
@@ -60,7 +58,7 @@ def test_without_a_controller_a_realtime_body_is_left_alone(domain, observer, pl
         record=False,
         simulator={
             'time_mode': 'realtime',
-            'expected_subscribers': 1,
+            'expected_subscribers': ['observer'],
             'duration': 0.0,
             'force_timeout': 0.05,
         },
@@ -80,5 +78,5 @@ def test_without_a_controller_a_realtime_body_is_left_alone(domain, observer, pl
     assert 'stale' in output
     early = np.abs(states[5].velocity).max()
     late = np.abs(states[-1].velocity).max()
-    assert 0 < early
+    assert early > 0
     assert np.isfinite(late)
