@@ -1,5 +1,6 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
+import signal
 from dataclasses import dataclass
 from functools import cache
 
@@ -31,6 +32,10 @@ from dpc_ros.network import (  # noqa: E402
     load_network,
 )
 from dpc_ros.reduction import CompressedSystem  # noqa: E402
+
+# A shell ignores SIGINT for what it starts in the background, and so would the tests' processes.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
 hypothesis.settings.load_profile('dpc_ros')

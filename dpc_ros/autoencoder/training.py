@@ -45,8 +45,8 @@ def train(
         the module with the weights of the best validation epoch and normalised latents.
 
     Raises:
-        ValueError: the state on disk is damaged or of another recipe, or no epoch had a finite
-            validation error.
+        ValueError: the state on disk is damaged, of another recipe or on other data, or no epoch
+            had a finite validation error.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(recipe.seed)
@@ -57,7 +57,7 @@ def train(
     validation_set = torch.from_numpy(dataset.validation).float()
     optimizer = torch.optim.Adam(module.parameters(), weight_decay=recipe.weight_decay)
     steps_per_epoch = -(-len(train_set) // recipe.batch_size)
-    state = _TrainingState(recipe, module, optimizer, state_path)
+    state = _TrainingState(recipe, dataset, module, optimizer, state_path)
 
     bar = tqdm(
         range(state.epoch, recipe.epochs),
@@ -117,12 +117,13 @@ class _TrainingState:
     """Where a training stands: epoch, weights, Adam's moments, best weights; on disk and in memory.
 
     Raises:
-        ValueError: the file on disk is damaged or belongs to another recipe.
+        ValueError: the file on disk is damaged, or of another recipe or on other data.
     """
 
     def __init__(
         self,
         recipe: Recipe,
+        dataset: Dataset,
         module: FlatModule,
         optimizer: torch.optim.Adam,
         path: str | Path | None,
@@ -130,7 +131,9 @@ class _TrainingState:
         self.epoch = 0
         self.best_validation = float('inf')
         self._best = {key: value.clone() for key, value in module.state_dict().items()}
-        self._recipe = recipe
+        self._name = recipe.name
+        # through JSON, so that it compares with what a file gives back
+        self._identity = json.loads(json.dumps([recipe.as_dict(), dataset.provenance]))
         self._module = module
         self._optimizer = optimizer
         self._path = None if path is None else Path(path)
@@ -154,7 +157,7 @@ class _TrainingState:
         """
         if not np.isfinite(self.best_validation):
             raise ValueError(
-                f'training {self._recipe.name}: the validation error was not finite in any epoch: '
+                f'training {self._name}: the validation error was not finite in any epoch: '
                 'is the learning rate too high, or a configuration not finite?'
             )
         self._module.load_state_dict(self._best)
@@ -168,7 +171,7 @@ class _TrainingState:
         for i, moments in self._optimizer.state_dict()['state'].items():
             tensors |= {f'adam.{i}.{key}': value for key, value in moments.items()}
         metadata = {
-            'recipe': json.dumps(self._recipe.as_dict()),
+            'identity': json.dumps(self._identity),
             'epoch': str(self.epoch),
             'best_validation': repr(self.best_validation),
         }
@@ -182,15 +185,15 @@ class _TrainingState:
             with safe_open(str(self._path), framework='pt') as file:
                 metadata = file.metadata()
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-            recipe = json.loads(metadata['recipe'])
+            identity = json.loads(metadata['identity'])
         except (SafetensorError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
                 f'{self._path}: expected the state of an unfinished training, but {error}: '
                 'remove the file'
             ) from error
-        if recipe != self._recipe.as_dict():
+        if identity != self._identity:
             raise ValueError(
-                f'{self._path} is an unfinished training by another recipe: '
+                f'{self._path} is an unfinished training by another recipe or on other data: '
                 'finish that one, or remove the file'
             )
         self.epoch = int(metadata['epoch'])

@@ -26,8 +26,8 @@ def table(convergence: Convergence) -> str:
         f'checkpoint  {run.autoencoder_identifier or _NOTHING}',
         f'target      {describe_target(convergence)}',
         '',
-        _row(_COLUMNS),
-        *(_row(_cells(row)) for row in course(convergence)),
+        _line(_COLUMNS),
+        *(format_row(row) for row in course(convergence)),
         '',
         f'final nMSE     {_number(convergence.final_nmse)}'
         + ('  FAILED: the body ended farther from the target' if convergence.failed else ''),
@@ -81,9 +81,10 @@ def course(convergence: Convergence) -> list[dict[str, float]]:
     ]
 
 
-def _cells(row: dict[str, float]) -> tuple[str, ...]:
+def format_row(row: dict[str, float]) -> str:
+    """Return a row of `course` as a line of the table."""
     time, *values = row.values()
-    return (f'{time:.2f}', *(_number(value) for value in values))
+    return _line((f'{time:.2f}', *(_number(value) for value in values)))
 
 
 def _last(
@@ -93,7 +94,7 @@ def _last(
     return np.nan if values is None or place < 0 else float(values[place])
 
 
-def _row(cells: tuple[str, ...]) -> str:
+def _line(cells: tuple[str, ...]) -> str:
     return '  '.join(cell.rjust(width) for cell, width in zip(cells, _WIDTHS, strict=True))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from dpc_ros.control.saturation import shorten
 from dpc_ros.reduction import CompressedSystem
 
 _TOLERANCE = 1e-7  # N per latent unit, on the gradient of the potential at an equilibrium
@@ -114,9 +115,7 @@ def feed_forward(
         slope = _equilibrium_slope(system, latent, force)
         normal = slope.T @ slope
         step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(2), slope.T @ residual)
-        step *= min(1.0, _LARGEST_FORCE_STEP / max(np.linalg.norm(step), 1e-300))
-        trial = force + step
-        trial *= min(1.0, largest_force / max(np.linalg.norm(trial), 1e-300))
+        trial = shorten(force + shorten(step, _LARGEST_FORCE_STEP), largest_force)
         if np.linalg.norm(trial - force) < _FORCE_TOLERANCE:
             break
         try:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.control.equilibrium import feed_forward
+from dpc_ros.control.saturation import shorten
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
@@ -62,16 +63,12 @@ class ControlLaw(ABC):
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
     ) -> Float[np.ndarray, ' 2']:
         """Return u [N], its norm bounded by the largest force."""
-        force = self.unbounded_force(latent, latent_velocity)
-        norm = float(np.hypot(force[0], force[1]))
-        return force if norm <= self.largest_force else force * (self.largest_force / norm)
+        return shorten(self.unbounded_force(latent, latent_velocity), self.largest_force)
 
     def _target_latent(self, target: Target) -> Float[np.ndarray, ' m']:
         autoencoder = self.system.autoencoder
         target.check_sizes(autoencoder.configuration_size, autoencoder.latent_size)
-        if target.latent is not None:
-            return target.latent
-        return autoencoder.encode(target.configuration)
+        return target.value if target.is_latent else autoencoder.encode(target.value)
 
 
 class PaperLaw(ControlLaw):
@@ -137,10 +134,9 @@ class ReducedEquilibriumLaw(ControlLaw):
         self._input_field = np.zeros((system.latent_size, 2))
 
     def regulate(self, target: Target) -> None:
-        configuration = target.configuration
-        latent = self._target_latent(target)
-        if configuration is None:
-            configuration = self.system.autoencoder.decode(latent)
+        autoencoder = self.system.autoencoder
+        target.check_sizes(autoencoder.configuration_size, autoencoder.latent_size)
+        configuration = autoencoder.decode(target.value) if target.is_latent else target.value
         solution = feed_forward(self.system, configuration, self.largest_force)
         self._target = solution.latent
         self._feed_forward = solution.force

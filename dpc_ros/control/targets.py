@@ -38,12 +38,23 @@ class Target:
     def __post_init__(self) -> None:
         if (self.configuration is None) == (self.latent is None):
             raise TargetError('target: expected either a configuration or a latent state')
-        value = self.latent if self.configuration is None else self.configuration
-        if not np.isfinite(value).all():
-            bad = int(np.flatnonzero(~np.isfinite(value))[0])
+        bad = np.flatnonzero(~np.isfinite(self.value))
+        if len(bad):
             raise TargetError(
-                f'target: expected finite numbers, but coordinate {bad} is {value[bad]}'
+                f'target: expected finite numbers, but number {bad[0]} is {self.value[bad[0]]}'
             )
+
+    @property
+    def is_latent(self) -> bool:
+        """Whether it is a latent state."""
+        return self.latent is not None
+
+    @property
+    def value(self) -> Float[np.ndarray, ' k']:
+        """The one of the two that is given."""
+        value = self.configuration if self.latent is None else self.latent
+        assert value is not None
+        return value
 
     def check_sizes(self, configuration_size: int, latent_size: int) -> None:
         """Make sure that the target fits a body and its autoencoder.
@@ -51,13 +62,11 @@ class Target:
         Raises:
             TargetError: its length differs.
         """
-        if self.configuration is not None:
-            what, value, size = 'configuration', self.configuration, configuration_size
-        else:
-            assert self.latent is not None
-            what, value, size = 'latent', self.latent, latent_size
-        if value.shape != (size,):
-            raise TargetError(f'target {what}: expected {size} values, got {value.size}')
+        what, size = 'configuration', configuration_size
+        if self.is_latent:
+            what, size = 'latent', latent_size
+        if self.value.shape != (size,):
+            raise TargetError(f'target {what}: expected {size} values, got {self.value.size}')
 
 
 def load_target(specification: str, network: MassSpringNetwork) -> Target:

@@ -114,11 +114,9 @@ def target_message(target: Target, frame_id: str) -> JointState:
     """Return the message of a target that counts at once (stamp zero)."""
     message = JointState()
     message.header.frame_id = frame_id
-    if target.latent is not None:
-        message.name = latent_names(len(target.latent))
-        message.position = array('d', target.latent.tobytes())
-    elif target.configuration is not None:
-        message.position = array('d', target.configuration.tobytes())
+    message.position = array('d', target.value.tobytes())
+    if target.is_latent:
+        message.name = latent_names(len(target.value))
     return message
 
 

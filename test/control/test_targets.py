@@ -92,7 +92,7 @@ def test_bad_files_are_refused(small_network, tmp_path, text):
 def test_values_in_a_file_have_to_be_finite(small_network, tmp_path, value):
     path = tmp_path / 'target.json'
     path.write_text(f'{{"latent": [1.0, {value}]}}')
-    with pytest.raises(TargetError, match='finite numbers, but coordinate 1 is'):
+    with pytest.raises(TargetError, match='finite numbers, but number 1 is'):
         load_target(str(path), small_network)
 
 

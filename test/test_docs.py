@@ -1,0 +1,51 @@
+"""The pages say what is true: links lead somewhere, examples run, numbers come from results."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpc_ros.bag.convergence_table import format_row
+from dpc_ros.bag.reader import read_run
+from dpc_ros.resources import share_directory
+
+ROOT = share_directory()
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page):
+    for link in re.findall(r'\]\(([^)#]+)\)', page.read_text()):
+        if '://' not in link:
+            assert (page.parent / link).exists(), link
+
+
+def test_table_in_the_readme_is_the_recorded_result():
+    recorded = json.loads((ROOT / 'docs/results/demo.json').read_text())
+    readme = (ROOT / 'README.md').read_text()
+    for row in recorded['rows']:
+        values = {key: np.nan if value is None else value for key, value in row.items()}
+        assert format_row(values) in readme
+    assert recorded['commit']
+    assert recorded['command']
+
+
+def test_example_of_the_control_page_is_the_demonstration():
+    (example,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/control.md').read_text(), re.S)
+    names = {}
+    exec(example.replace('steps=1000', 'steps=20'), names)
+    recorded = json.loads((ROOT / 'docs/results/demo.json').read_text())['rows']
+    run = names['run']
+    assert len(run.force) == 21
+    # Other machines round differently in the last digits.
+    assert np.linalg.norm(run.force[0]) == pytest.approx(recorded[0]['force_N'], rel=1e-6)
+
+
+def test_sample_log_is_whole():
+    (bag,) = (path for path in (ROOT / 'bags').iterdir() if path.is_dir())
+    run = read_run(bag)
+    assert len(run.configuration) == len(run.latent) == len(run.force)
+    assert not any(run.losses.values())
+    assert Path(bag / 'metadata.yaml').is_file()
