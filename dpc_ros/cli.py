@@ -65,7 +65,7 @@ def train(options: argparse.Namespace) -> None:
 
 def converge(options: argparse.Namespace) -> None:
     """Read a log back and show how the run converged; no ROS needed."""
-    from dpc_ros.bag import course, draw, table
+    from dpc_ros.bag import course, draw, summary, table
     from dpc_ros.bag.report import converge as measure
     from dpc_ros.results import write_results
 
@@ -81,7 +81,7 @@ def converge(options: argparse.Namespace) -> None:
         print(note)
     print(f'\nfigure      {figure}')
     if options.results:
-        write_results(options.results, course(convergence))
+        write_results(options.results, [*course(convergence), summary(convergence)])
         print(f'results     {options.results}')
 
 

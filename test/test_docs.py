@@ -25,9 +25,17 @@ def test_links_lead_to_files(page):
 def test_table_in_the_readme_is_the_recorded_result():
     recorded = json.loads((ROOT / 'docs/results/demo.json').read_text())
     readme = (ROOT / 'README.md').read_text()
-    for row in recorded['rows']:
+    *rows, summary = recorded['rows']
+    for row in rows:
         values = {key: np.nan if value is None else value for key, value in row.items()}
         assert format_row(values) in readme
+    for what, key, unit in (
+        ('final nMSE   ', 'final_nmse', ''),
+        ('settling time', 'settling_time_s', ' s'),
+        ('peak force   ', 'peak_force_N', ' N'),
+        ('RMS force    ', 'rms_force_N', ' N'),
+    ):
+        assert f'{what}  {summary[key]:.4g}{unit}\n' in readme
     assert recorded['commit']
     assert recorded['command']
 

@@ -1,7 +1,7 @@
 """Logs of runs: rosbag2 bags written and read without ROS, and the convergence they show."""
 
 from dpc_ros.bag.convergence import Convergence, Energy, analyse
-from dpc_ros.bag.convergence_table import course, table
+from dpc_ros.bag.convergence_table import course, summary, table
 from dpc_ros.bag.figure import draw
 from dpc_ros.bag.mcap_file import BagError
 from dpc_ros.bag.metadata import PARAMETERS_RECORD
@@ -23,5 +23,6 @@ __all__ = [
     'course',
     'draw',
     'read_run',
+    'summary',
     'table',
 ]

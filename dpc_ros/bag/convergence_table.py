@@ -81,6 +81,16 @@ def course(convergence: Convergence) -> list[dict[str, float]]:
     ]
 
 
+def summary(convergence: Convergence) -> dict[str, float]:
+    """Return what a run comes down to, as numbers: NaN where there is none."""
+    return {
+        'final_nmse': convergence.final_nmse,
+        'settling_time_s': convergence.settling_time,
+        'peak_force_N': convergence.peak_force,
+        'rms_force_N': convergence.rms_force,
+    }
+
+
 def format_row(row: dict[str, float]) -> str:
     """Return a row of `course` as a line of the table."""
     time, *values = row.values()
