@@ -70,7 +70,9 @@ class Domain:
     def kill(self, process: subprocess.Popen) -> None:
         """Kill a process, and remember the shared memory that it can't remove any more."""
         maps = Path(f'/proc/{process.pid}/maps').read_text()
-        self.left_behind |= {Path(path) for path in re.findall(r'/dev/shm/\S*fastrtps\S*', maps)}
+        self.left_behind |= {
+            Path(path) for path in re.findall(r'/dev/shm/\S*fast(?:rtps|dds)\S*', maps)
+        }
         process.kill()
         process.communicate()
 
