@@ -20,7 +20,7 @@ from dpc_ros.bag.mcap_file import (
 )
 from dpc_ros.bag.topic import NANOSECONDS
 
-LATENT_NAME = 'xi_'  # how the names of a latent target start
+LATENT_PREFIX = 'xi_'  # how the names of latent coordinates start
 
 _JOINT_STATE = 'sensor_msgs/msg/JointState'
 _WRENCH = 'geometry_msgs/msg/WrenchStamped'
@@ -222,7 +222,7 @@ class _Signal:
 
 def _target(content: Any) -> Target:
     position = np.array(content.position, dtype=float)
-    is_latent = bool(content.name) and all(name.startswith(LATENT_NAME) for name in content.name)
+    is_latent = bool(content.name) and content.name[0].startswith(LATENT_PREFIX)
     return Target(
         stamp_ns=_nanoseconds(content),
         configuration=None if is_latent else position,

@@ -74,27 +74,25 @@ class ControllerNode(LoopNode):
 
     def _take_target(self, message: JointState) -> None:
         try:
-            target = read_target(message, self._network.coordinate_names, len(self._names))
+            target = read_target(
+                message, self._network.identifier, self._network.coordinate_names, len(self._names)
+            )
         except MessageError as error:
             self.reject('target', error)
             return
         self._schedule.add(from_stamp(message.header.stamp), target)
 
     def _control(self, message: JointState, info: dict[str, int]) -> None:
-        if not self.active:
+        if not (self.receive('latent_state', info) and self.matched(self._control_force)):
             return
         begin = time.perf_counter()
-        self.health.received += 1
-        self.health.sequence.add(info['publication_sequence_number'])
-        if not self.matched(self._control_force):
-            return
         try:
             latent, latent_velocity = read_state(message, self._identifier, self._names)
         except MessageError as error:
             self.reject('latent_state', error)
             return
         stamp = from_stamp(message.header.stamp)
-        answer = self._answers.repeated(stamp, message.position)
+        answer = self._answers.repeated(stamp, message)
         if answer is None:
             if self._answers.starts_epoch(stamp):
                 self._schedule.restart()
@@ -103,7 +101,7 @@ class ControllerNode(LoopNode):
             answer = force_message(
                 message.header.stamp, self._mass, self._law.force(latent, latent_velocity)
             )
-            self._answers.remember(stamp, message.position, answer)
+            self._answers.remember(stamp, message, answer)
         else:
             self.health.repeated += 1
         self.publish(self._control_force, answer)

@@ -44,13 +44,9 @@ class EncoderNode(LoopNode):
         self.create_input('configuration', self._encode)
 
     def _encode(self, message: JointState, info: dict[str, int]) -> None:
-        if not self.active:
+        if not (self.receive('configuration', info) and self.matched(self._latent_state)):
             return
         begin = time.perf_counter()
-        self.health.received += 1
-        self.health.sequence.add(info['publication_sequence_number'])
-        if not self.matched(self._latent_state):
-            return
         try:
             configuration, velocity = read_state(
                 message, self._network_identifier, self._coordinate_names
@@ -59,7 +55,7 @@ class EncoderNode(LoopNode):
             self.reject('configuration', error)
             return
         stamp = from_stamp(message.header.stamp)
-        answer = self._answers.repeated(stamp, message.position)
+        answer = self._answers.repeated(stamp, message)
         if answer is None:
             latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
                 configuration, velocity
@@ -67,7 +63,7 @@ class EncoderNode(LoopNode):
             answer = state_message(
                 message.header.stamp, self._identifier, latent, latent_velocity, self._names
             )
-            self._answers.remember(stamp, message.position, answer)
+            self._answers.remember(stamp, message, answer)
         else:
             self.health.repeated += 1
         self.publish(self._latent_state, answer)

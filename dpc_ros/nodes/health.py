@@ -12,20 +12,18 @@ _LATENCY_WINDOW = 1000  # messages
 
 
 class SequenceCounter:
-    """Counts messages that a publisher numbered but that never came.
+    """Sees by the numbers that a publisher gives its messages how many never came.
 
     Numbers start anew when another publisher takes over the topic.
     """
 
     def __init__(self) -> None:
-        self.lost = 0
         self._last: int | None = None
 
-    def add(self, number: int) -> None:
-        """Take the publication sequence number of a message that came."""
-        if self._last is not None and number > self._last + 1:
-            self.lost += number - self._last - 1
-        self._last = number
+    def gap(self, number: int) -> int:
+        """Take the publication sequence number of a message; return how many it leaves out."""
+        last, self._last = self._last, number
+        return 0 if last is None else max(number - last - 1, 0)
 
 
 class Health:
@@ -36,7 +34,7 @@ class Health:
         self.published = 0
         self.repeated = 0
         self.rejected: Counter[str] = Counter()
-        self.sequence = SequenceCounter()
+        self.lost = 0
         self.warning = ''
         self._processing: list[float] = []
         self._reported = (time.monotonic(), 0)
@@ -58,7 +56,7 @@ class Health:
             'received': self.received,
             'published': self.published,
             'repeated': self.repeated,
-            'lost': self.sequence.lost,
+            'lost': self.lost,
             **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
         }
         if self._processing:
@@ -66,7 +64,7 @@ class Health:
             values['processing p50 [ms]'] = f'{1e3 * ordered[len(ordered) // 2]:.3f}'
             values['processing max [ms]'] = f'{1e3 * ordered[-1]:.3f}'
         level, message = DiagnosticStatus.OK, state
-        if self.rejected or self.sequence.lost or self.warning:
+        if self.rejected or self.lost or self.warning:
             level = DiagnosticStatus.WARN
             message = self.warning or 'messages were rejected or lost'
         return DiagnosticStatus(

@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
 
 from dpc_ros.nodes.parameters import ParameterError, declarations
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
+NODES = (*LOOP, RECORDER)
 LAUNCHER = 'launcher'
 _STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
 _OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
@@ -86,7 +89,7 @@ def make_plan(
         config: a ROS 2 parameter file with the sections `/**`, `simulator`, `encoder`, ….
         overrides: values by node that win over the file.
         folder: of the run; must not exist yet.
-        namespace: of all nodes.
+        namespace: of all nodes, with or without the leading `/`.
         record: whether a recorder is started.
 
     Raises:
@@ -94,6 +97,11 @@ def make_plan(
         FileNotFoundError: there is no such parameter file.
         ParameterError: a section or parameter is unknown, of the wrong type or out of range.
     """
+    namespace = '/' + namespace.strip('/')
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException as error:
+        raise ParameterError(f'namespace {namespace!r}: {str(error).splitlines()[0]}') from error
     if folder.exists():
         raise FileExistsError(f'{folder} exists already: choose another --output')
     sections = _read_sections(config)
@@ -107,19 +115,27 @@ def make_plan(
             'parameters_file': str(folder / 'parameters.yaml'),
         },
     }
+    given = {
+        node: {
+            **defaults.get(node, {}),
+            **sections.get('/**', {}),
+            **sections.get(node, {}),
+            **overrides.get(node, {}),
+        }
+        for node in nodes
+    }
     parameters: dict[str, dict[str, Any]] = {}
     for node in nodes:
-        given = {**defaults.get(node, {}), **sections.get('/**', {}), **sections.get(node, {})}
-        given |= overrides.get(node, {})
         parameters[node] = {}
         for name, declaration in declarations(node).items():
             try:
-                parameters[node][name] = declaration.check(given.get(name, declaration.default))
+                value = given[node].get(name, declaration.default)
+                parameters[node][name] = declaration.check(value)
             except ParameterError as error:
                 raise ParameterError(f'{node}: {error}') from error
     recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
-        if 'expected_subscribers' not in overrides.get(node, {}):
+        if 'expected_subscribers' not in given[node]:
             readers = [*declarations(node)['expected_subscribers'].default]
             readers += [RECORDER] * (output in recorded) + [LAUNCHER] * (output in MONITORED)
             parameters[node]['expected_subscribers'] = readers
@@ -149,13 +165,12 @@ def _check_known(
     sections: Mapping[str, Mapping[str, Any]],
     overrides: Mapping[str, Mapping[str, Any]],
 ) -> None:
-    every = {name for node in (*LOOP, RECORDER) for name in declarations(node)}
+    every = {name for node in NODES for name in declarations(node)}
     for origin, part in ((str(config), sections), ('the command line', overrides)):
         for section, values in part.items():
-            if section != '/**' and section not in (*LOOP, RECORDER):
+            if section != '/**' and section not in NODES:
                 raise ParameterError(
-                    f'{origin}: unknown node {section!r}, expected one of '
-                    f'{", ".join((*LOOP, RECORDER))}'
+                    f'{origin}: unknown node {section!r}, expected one of {", ".join(NODES)}'
                 )
             known = every if section == '/**' else declarations(section).keys()
             for name in values:

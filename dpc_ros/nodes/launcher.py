@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rclpy.context import Context
 
 from dpc_ros.bag import draw, table
@@ -17,9 +16,10 @@ from dpc_ros.bag.report import converge
 from dpc_ros.nodes.controller_node import ControllerNode
 from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.launch_plan import LOOP, LaunchPlan, make_plan
+from dpc_ros.nodes.launch_plan import LOOP, NODES, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
+from dpc_ros.nodes.parameters import declarations
 from dpc_ros.nodes.processes import NodeProcesses
 from dpc_ros.nodes.recorder_node import RecorderNode
 from dpc_ros.nodes.simulator_node import SimulatorNode
@@ -38,7 +38,13 @@ _INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the launcher as a process."""
-    options = _parser().parse_args(arguments)
+    try:
+        sys.exit(_main(_parser().parse_args(arguments)))
+    except KeyboardInterrupt:
+        sys.exit(_complain('stopped', _INTERRUPTED))
+
+
+def _main(options: argparse.Namespace) -> int:
     try:
         plan = make_plan(
             Path(options.config),
@@ -49,8 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
         )
         plan.write()
     except (ValueError, OSError) as error:
-        sys.exit(_complain(str(error), 2))
-    sys.exit(launch(plan, options.composed))
+        return _complain(str(error), 2)
+    return launch(plan, options.composed)
 
 
 def launch(plan: LaunchPlan, composed: bool) -> int:
@@ -109,7 +115,7 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
             return bool(stop) or failed or nodes['simulator'].finished
 
         spin_until(executor, is_over)
-        finish(executor, [nodes[kind] for kind in (*LOOP, 'recorder') if kind in nodes])
+        finish(executor, [nodes[kind] for kind in (*LOOP, RECORDER) if kind in nodes])
     finally:
         monitor.close()
         executor.shutdown()
@@ -126,7 +132,7 @@ def _tick(monitor: Monitor) -> bool:
 
 
 def _report(plan: LaunchPlan) -> int:
-    if plan.bag is None:
+    if plan.bag is None or 'configuration' not in plan.parameters[RECORDER]['topics']:
         print(f'parameters  {plan.parameters_file}')
         return 0
     try:
@@ -135,13 +141,13 @@ def _report(plan: LaunchPlan) -> int:
             plan.parameters['simulator']['network'],
             plan.parameters['encoder']['checkpoint'],
         )
-    except ValueError as error:
+        figure = plan.folder / 'convergence.png'
+        print(table(convergence))
+        for note in notes:
+            print(note)
+        draw(convergence, figure)
+    except (ValueError, OSError) as error:
         return _complain(str(error), 1)
-    figure = plan.folder / 'convergence.png'
-    draw(convergence, figure)
-    print(table(convergence))
-    for note in notes:
-        print(note)
     print()
     print(f'figure      {figure}')
     print(f'log         {plan.bag}')
@@ -156,7 +162,10 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         node, dot, parameter = name.partition('.')
         if not (equals and dot and parameter):
             raise ValueError(f'--set {item}: expected <node>.<parameter>=<value>')
-        overrides.setdefault(node, {})[parameter] = yaml.safe_load(value)
+        known = declarations(node) if node in NODES else {}
+        overrides.setdefault(node, {})[parameter] = (
+            known[parameter].parse(value) if parameter in known else value
+        )
     if options.target is not None:
         overrides.setdefault('controller', {})['target'] = options.target
     if options.duration is not None:

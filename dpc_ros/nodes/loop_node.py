@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import traceback
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,10 +20,10 @@ from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.health import Health, diagnostic_array
+from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
-from dpc_ros.nodes.stop import StopRequest
+from dpc_ros.nodes.stop import StopRequest, check_only_ros_arguments
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.threads import single_threaded_algebra
 
@@ -36,16 +38,19 @@ class LoopNode(LifecycleNode):
     """A lifecycle node around one object of the core.
 
     A subclass fills in `configure` (everything slow; raises ValueError or OSError with the reason)
-    and, where it has something to do, `activate`, `deactivate`, `clean_up` and `finish`. Inputs and
+    and, where it has something to do, `activate`, `deactivate`, `clean_up`, `finish`. Inputs and
     outputs that it creates are destroyed with the rest at clean-up.
 
     Attributes:
+        acts_to_the_end: whether it goes on while it is finishing (a recorder does).
         kind: which of the nodes it is, and its name where it isn't remapped.
         settings: its parameters by name.
         health: its counts.
         failure: why it failed; empty while all is well.
         finished: whether it has done what it was started for.
     """
+
+    acts_to_the_end = False
 
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
@@ -60,11 +65,17 @@ class LoopNode(LifecycleNode):
         self._inputs: list[Subscription] = []
         self._matched = False
         self._said: dict[str, float] = {}
+        self._sequences: defaultdict[str, SequenceCounter] = defaultdict(SequenceCounter)
+        self._starting = False
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
 
     def configure(self) -> None:
-        """Load and warm up; the node is inactive afterwards."""
+        """Load and warm up; the node is inactive afterwards.
+
+        A ValueError or OSError is the reason why it can't: at start-up the process ends with it,
+        later the node stays unconfigured.
+        """
 
     def activate(self) -> None:
         """Begin to act."""
@@ -76,7 +87,7 @@ class LoopNode(LifecycleNode):
         """Let go of what else `configure` made; it may have stopped half-way."""
 
     def is_drained(self) -> bool:
-        """Return whether everything that was on its way to the node has come."""
+        """Return whether all that was published before this was first asked has come."""
         return True
 
     def finish(self) -> None:
@@ -87,7 +98,10 @@ class LoopNode(LifecycleNode):
         if not self.settings['autostart']:
             return True
         success = TransitionCallbackReturn.SUCCESS
-        return self.trigger_configure() == success and self.trigger_activate() == success
+        self._starting = True
+        started = self.trigger_configure() == success and self.trigger_activate() == success
+        self._starting = False
+        return started
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._transition(self.configure)
@@ -123,6 +137,21 @@ class LoopNode(LifecycleNode):
             self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
         )
 
+    def receive(self, topic: str, info: dict[str, int]) -> bool:
+        """Count a message and those lost before it; return whether the node acts on messages.
+
+        Numbers of several publishers can't be told apart: then nothing is counted as lost, but
+        that there are several is said.
+        """
+        self.health.received += 1
+        gap = self._sequences[topic].gap(info['publication_sequence_number'])
+        if gap and self.count_publishers(topic) > 1:
+            self.health.warning = f'{topic} has several publishers'
+            self.say(f'{topic} has several publishers: stop all but one', problem=True)
+        else:
+            self.health.lost += gap
+        return self.active
+
     def matched(self, publisher: Publisher) -> bool:
         """Return whether the nodes that a publisher is to wait for were all subscribed, once.
 
@@ -140,7 +169,13 @@ class LoopNode(LifecycleNode):
             if missing:
                 self.say(f'waiting for {", ".join(sorted(missing))} on {publisher.topic_name}')
             else:
-                self._matched = publisher.get_subscription_count() >= len(endpoints)
+                found = publisher.get_subscription_count()
+                self._matched = found >= len(endpoints)
+                if not self._matched:
+                    self.say(
+                        f'waiting for {len(endpoints)} subscriptions of {publisher.topic_name}, '
+                        f'matched with {found}: is one of another type?'
+                    )
         return self._matched
 
     def publish(self, publisher: Publisher, message: Any) -> None:
@@ -184,14 +219,16 @@ class LoopNode(LifecycleNode):
         try:
             action()
         except (ValueError, OSError) as error:
-            self.failure = str(error)
             self._clean_up()
+            if self._starting:
+                self.failure = str(error)
+            else:
+                self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
         except Exception as error:  # rclpy would swallow it
             traceback.print_exc()
             self.failure = f'{type(error).__name__}: {error}'
             raise
-        self.failure = ''
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:
@@ -202,6 +239,7 @@ class LoopNode(LifecycleNode):
             self.destroy_subscription(subscription)
         self._outputs.clear()
         self._inputs.clear()
+        self._sequences.clear()
         self._matched = False
 
     def _report(self) -> None:
@@ -216,26 +254,32 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
     Returns:
         the exit code: 0 after the end or a Ctrl-C, 1 after a failure, 2 for bad parameters.
     """
-    with StopRequest(arguments) as stop:
+    with contextlib.ExitStack() as stack:
         try:
+            check_only_ros_arguments(arguments)
+            stop = stack.enter_context(StopRequest(arguments))
             node = make_node(stop.context)
         except ValueError as error:
             print(f'error: {error}', file=sys.stderr)
             return 2
-        executor = make_executor(node.settings['executor'], context=stop.context)
-        executor.add_node(node)
-        single_threaded_algebra()
-        try:
-            if node.start():
-                spin_until(executor, lambda: bool(stop or node.failure or node.finished))
-                finish(executor, [node])
-        finally:
-            executor.shutdown()
-            node.close()
-        if node.failure:
-            print(f'error: {node.kind}: {node.failure}', file=sys.stderr)
-            return 1
-        return 0
+        return _run(node, stop)
+
+
+def _run(node: LoopNode, stop: StopRequest) -> int:
+    executor = make_executor(node.settings['executor'], context=stop.context)
+    executor.add_node(node)
+    single_threaded_algebra()
+    try:
+        if node.start():
+            spin_until(executor, lambda: bool(stop or node.failure or node.finished))
+            finish(executor, [node])
+    finally:
+        executor.shutdown()
+        node.close()
+    if node.failure:
+        print(f'error: {node.kind}: {node.failure}', file=sys.stderr)
+        return 1
+    return 0
 
 
 def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:
@@ -245,7 +289,9 @@ def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:
 
 
 def finish(executor: Executor, nodes: list[LoopNode]) -> None:
-    """Let nodes end in order, each once it has what was on its way to it."""
+    """Let nodes end in order: the loop stands still, then each takes what is on its way to it."""
+    for node in nodes:
+        node.active = node.active and node.acts_to_the_end
     for node in nodes:
         node.wait_until_acknowledged()
         spin_until(executor, node.is_drained)

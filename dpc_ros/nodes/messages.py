@@ -11,10 +11,10 @@ from geometry_msgs.msg import WrenchStamped
 from jaxtyping import Float
 from sensor_msgs.msg import JointState
 
+from dpc_ros.bag.reader import LATENT_PREFIX
 from dpc_ros.control import Target, TargetError
 
 _NANOSECONDS = 1_000_000_000
-_LATENT_PREFIX = 'xi_'
 
 
 class MessageError(ValueError):
@@ -34,7 +34,7 @@ def from_stamp(stamp: Time) -> int:
 
 def latent_names(latent_size: int) -> list[str]:
     """Return the names of latent coordinates, from `xi_0` on."""
-    return [f'{_LATENT_PREFIX}{i}' for i in range(latent_size)]
+    return [f'{LATENT_PREFIX}{i}' for i in range(latent_size)]
 
 
 def mass_frame(mass: int) -> str:
@@ -120,16 +120,26 @@ def target_message(target: Target, frame_id: str) -> JointState:
     return message
 
 
-def read_target(message: JointState, coordinate_names: Sequence[str], latent_size: int) -> Target:
+def read_target(
+    message: JointState, frame_id: str, coordinate_names: Sequence[str], latent_size: int
+) -> Target:
     """Return the target of a message: a latent state where it is named so, else a configuration.
 
+    Args:
+        message: what came.
+        frame_id: what the frame of a configuration must be, where it has one.
+        coordinate_names: names of the coordinates; their number is the size.
+        latent_size: m.
+
     Raises:
-        MessageError: names or size differ, or a value is not finite.
+        MessageError: frame, names or size differ, or a value is not finite.
     """
-    latent = bool(message.name) and message.name[0].startswith(_LATENT_PREFIX)
+    latent = bool(message.name) and message.name[0].startswith(LATENT_PREFIX)
     names = latent_names(latent_size) if latent else coordinate_names
     if message.name and list(message.name) != list(names):
         raise MessageError(f'expected the names {_brief(names)}, got {_brief(message.name)}')
+    if not latent and message.header.frame_id not in ('', frame_id):
+        raise MessageError(f'expected the frame {frame_id!r}, got {message.header.frame_id!r}')
     value = _finite(message.position, len(names), 'positions')
     try:
         return Target(latent=value) if latent else Target(configuration=value)

@@ -58,7 +58,7 @@ class Monitor(Node):
         seconds = from_stamp(state.header.stamp) / 1e9
         if seconds == self._bar.n:
             return
-        self._bar.n = seconds
+        self._bar.n = min(seconds, self._bar.total or seconds)  # tqdm drops a total it passes
         self._bar.set_description_str('running', refresh=False)
         shown = []
         configuration = np.array(state.position)

@@ -45,6 +45,8 @@ class Declaration:
         Raises:
             ParameterError: wrong type, out of range, or none of the options.
         """
+        if value is None and self.type == 'string_array':
+            value = []  # an empty list of a parameter file comes as None
         kinds = _TYPES[self.type]
         is_bool = isinstance(value, bool)
         if not isinstance(value, kinds) or is_bool != (self.type == 'bool'):
@@ -62,6 +64,21 @@ class Declaration:
                 f'{self.name}: expected one of {", ".join(self.options)}, got {value!r}'
             )
         return float(value) if self.type == 'double' else value
+
+    def parse(self, text: str) -> Any:
+        """Return the value that a text means.
+
+        Raises:
+            ParameterError: it means none of this type.
+        """
+        if self.type == 'string':
+            return self.check(text)
+        try:
+            return self.check(float(text) if self.type == 'double' else yaml.safe_load(text))
+        except (yaml.YAMLError, ParameterError, ValueError) as error:
+            if isinstance(error, ParameterError):
+                raise
+            raise ParameterError(f'{self.name}: expected a {self.type}, got {text!r}') from error
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what `ros2 param describe` shows; parameters are read-only after start."""

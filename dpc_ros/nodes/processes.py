@@ -81,9 +81,13 @@ class NodeProcesses:
                 self._note_failure(node, code)
 
     def _note_failure(self, node: str, code: int) -> None:
+        if code < 0:
+            self.failure = f'{node} was ended by {signal.Signals(-code).name}'
+            self.exit_code = 1
+            return
         log = self._plan.folder / 'log' / f'{node}.log'
         lines = [line for line in log.read_text(errors='replace').splitlines() if line.strip()]
         errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
         reason = errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
         self.failure = f'{node} ended with exit code {code}: {reason} (see {log})'
-        self.exit_code = code if code > 0 else 1
+        self.exit_code = code or 1

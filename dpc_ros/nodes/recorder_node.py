@@ -14,7 +14,6 @@ from rclpy.qos import QoSProfile as RclpyQoS
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from dpc_ros.bag import PARAMETERS_RECORD, BagWriter, QosProfile, Topic
-from dpc_ros.nodes.health import SequenceCounter
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.message_definition import message_definition, message_type_name
 from dpc_ros.nodes.topics import TOPICS
@@ -23,19 +22,23 @@ _QUIET = 0.2  # s without a message after which nothing more is on its way
 
 
 class RecorderNode(LoopNode):
-    """Writes raw CDR bytes: nothing is deserialised, nothing is rounded."""
+    """Writes raw CDR bytes: nothing is deserialised, nothing is rounded.
+
+    Told to stop, it takes what has been published up to then, and no more.
+    """
+
+    acts_to_the_end = True
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('recorder', context)
         self._writer: BagWriter | None = None
-        self._sequences: dict[str, SequenceCounter] = {}
-        self._last_message: float | None = None
+        self._last_message = time.monotonic()
+        self._end_ns: int | None = None  # what is published later is not recorded
 
     def configure(self) -> None:
         settings = self.settings
         parameters_file = settings['parameters_file']
         parameters = Path(parameters_file).read_text() if parameters_file else ''
-        self._sequences = {}
         self._writer = BagWriter(
             settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
             ros_distro=os.environ.get('ROS_DISTRO', 'jazzy'),
@@ -48,27 +51,30 @@ class RecorderNode(LoopNode):
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def clean_up(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            except OSError as error:
+                self.failure = self.failure or f'{writer.folder} can not be finished: {error}'
 
     def is_drained(self) -> bool:
-        """Return whether no message has come for a while since it was first asked."""
-        if self._last_message is None:
+        if self._end_ns is None:
+            self._end_ns = time.time_ns()
             self._last_message = time.monotonic()
         return time.monotonic() - self._last_message > _QUIET
 
     def finish(self) -> None:
         if self._writer is not None:
-            lost = sum(counter.lost for counter in self._sequences.values())
             count = sum(self._writer.message_counts.values())
-            self.get_logger().info(f'recorded {count} messages, {lost} lost')
+            self.get_logger().info(f'recorded {count} messages, {self.health.lost} lost')
 
     def _record(self, topic: str, data: bytes, info: dict[str, int]) -> None:
-        if not self.active or self._writer is None:
+        if self._end_ns is not None and info['source_timestamp'] > self._end_ns:
+            return
+        if not self.receive(topic, info) or self._writer is None:
             return
         self._last_message = time.monotonic()
-        self.health.received += 1
         try:
             self._write(self._writer, topic, data, info)
         except OSError as error:
@@ -76,10 +82,8 @@ class RecorderNode(LoopNode):
 
     def _write(self, writer: BagWriter, topic: str, data: bytes, info: dict[str, int]) -> None:
         name = self.resolve_topic_name(topic)
-        if topic not in self._sequences:
-            self._sequences[topic] = SequenceCounter()
+        if name not in writer.message_counts:
             writer.add_topic(self._describe(topic, name))
-        self._sequences[topic].add(info['publication_sequence_number'])
         writer.write(
             name,
             data,

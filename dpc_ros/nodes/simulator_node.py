@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 
 import numpy as np
@@ -47,7 +48,7 @@ class SimulatorNode(LoopNode):
         self._body.reset()
         self._identifier = network.identifier
         self._names = network.coordinate_names if settings['publish_names'] else []
-        self._last_step = round(settings['duration'] * _NANOSECONDS / self._step_ns)
+        self._last_step = math.ceil(settings['duration'] * _NANOSECONDS / self._step_ns)
         self._realtime = settings['time_mode'] == 'realtime'
         self._step = 0
         self._answered = False  # the present state has been, by a force with its stamp
@@ -90,13 +91,16 @@ class SimulatorNode(LoopNode):
 
     @property
     def _awaited(self) -> int:
+        """Stamp of the present state [ns]."""
         return self._step * self._step_ns
 
+    @property
+    def _at_end(self) -> bool:
+        return self._step >= self._last_step > 0
+
     def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
-        if not self.active:
+        if not self.receive('control_force', info):
             return
-        self.health.received += 1
-        self.health.sequence.add(info['publication_sequence_number'])
         try:
             mass, force = read_force(message)
             if mass != self._body.actuated_mass:
@@ -115,7 +119,7 @@ class SimulatorNode(LoopNode):
             return
         self._force = force
         self._answered_at = self._now()
-        if self._step >= self._last_step > 0:
+        if self._at_end:
             self.finished = self._answered
         elif self._realtime:
             self._start_stepping()
@@ -130,7 +134,7 @@ class SimulatorNode(LoopNode):
         self._stepper = self.create_timer(period, self._tick, clock=self._wall)
 
     def _tick(self) -> None:
-        if self._paused or not self.active or self._step >= self._last_step > 0:
+        if self._paused or not self.active or self._at_end:
             return
         if self._now() - self._answered_at > self.settings['force_timeout']:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
@@ -171,23 +175,24 @@ class SimulatorNode(LoopNode):
 
     def _watch(self) -> None:
         """Publish an unanswered state again, give up after the time-out."""
-        if not self.active or self.finished or self._paused or self._answered:
+        if not self.active or self._answered or (self._running and not self._must_answer):
             return
-        waiting = self._now() - self._answered_at
         which = 'response_timeout' if self._running else 'startup_timeout'
         limit = self.settings[which]
-        if (self._must_answer or (not self._running and limit > 0)) and waiting > limit:
+        if self._paused or limit == 0:
+            limit = math.inf
+        if self._now() - self._answered_at > limit:
             self.fail(self._timeout_reason(which, limit))
-        elif self._must_answer or not self._running:
-            if not self._running:
-                self.say('waiting for the first control_force')
-            if self._now() - self._published_at >= self.settings['resend_interval']:
-                self._publish_state()
+            return
+        if not self._running:
+            self.say('waiting for the first control_force')
+        if self._now() - self._published_at >= self.settings['resend_interval']:
+            self._publish_state()
 
     @property
     def _must_answer(self) -> bool:
         """Whether the run can't go on without the force for the present state."""
-        return self._running and (not self._realtime or self._step >= self._last_step > 0)
+        return self._running and (not self._realtime or self._at_end)
 
     def _timeout_reason(self, parameter: str, limit: float) -> str:
         readers = self._configuration.get_subscription_count()
@@ -200,7 +205,7 @@ class SimulatorNode(LoopNode):
         )
 
     def _take_push(self, message: WrenchStamped, info: dict[str, int]) -> None:
-        if not self.active:
+        if not self.receive('external_force', info):
             return
         try:
             mass, force = read_force(message)
@@ -221,7 +226,8 @@ class SimulatorNode(LoopNode):
         self._step += 1  # stamps rise for ever
         self._answered = False
         self._answered_at = self._now()
-        self._publish_state()
+        if self.active:
+            self._publish_state()
         response.success = True
         return response
 
@@ -236,9 +242,9 @@ class SimulatorNode(LoopNode):
     def _single_step(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        response.success = self._paused and self.active and (self._realtime or self._answered)
-        if response.success:
+        if self._paused and self.active and not self._at_end and (self._realtime or self._answered):
             self._advance()
+            response.success = not self.failure
         else:
             response.message = 'expected a paused simulator whose state has been answered'
         return response

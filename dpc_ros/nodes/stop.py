@@ -4,14 +4,31 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from types import TracebackType
 
 import rclpy
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def check_only_ros_arguments(arguments: list[str] | None = None) -> None:
+    """Make sure that a node is given nothing but ROS arguments.
+
+    Raises:
+        ValueError: there are others, which would be ignored without a word.
+    """
+    given = sys.argv if arguments is None else ['node', *arguments]
+    others = remove_ros_args(given)[1:]
+    if others:
+        raise ValueError(
+            f'unknown arguments {" ".join(others)!r}: expected `--ros-args -p name:=value` or '
+            '`--ros-args --params-file file.yaml`; config/nodes/ lists the parameters'
+        )
 
 
 class StopRequest:
@@ -19,6 +36,9 @@ class StopRequest:
 
     rclpy's own handlers shut the context down at once, which would lose what is still on its way.
     A process that the launcher started (`PARENT_VARIABLE`) stops, too, when the launcher is gone.
+
+    Raises:
+        ValueError: on entering, where rclpy can't read its arguments.
     """
 
     def __init__(self, arguments: list[str] | None = None) -> None:
@@ -33,11 +53,14 @@ class StopRequest:
         return self._asked or orphaned or not self.context.ok()
 
     def __enter__(self) -> StopRequest:
-        rclpy.init(
-            args=self._arguments,
-            context=self.context,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        try:
+            rclpy.init(
+                args=self._arguments,
+                context=self.context,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+        except RuntimeError as error:  # the base of what rclpy raises for bad arguments
+            raise ValueError(f'ROS arguments: {str(error).splitlines()[0]}') from error
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._ask)
         return self

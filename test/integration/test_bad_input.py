@@ -24,7 +24,7 @@ def assert_one_clear_error(output, *words):
     ('kind', 'parameter', 'words'),
     [
         ('simulator', 'rat:=100.0', ("unknown parameter 'rat'", 'rate')),
-        ('simulator', 'rate:=-1.0', ('rate', 'expected 1 to 10000 Hz', '-1')),
+        ('simulator', 'rate:=-1.0', ('rate', 'expected 1 to 2000 Hz', '-1')),
         ('simulator', 'rate:=fast', ('rate', 'expected a double', "'fast'")),
         ('simulator', 'time_mode:=soon', ('time_mode', 'lockstep, realtime', 'soon')),
         ('controller', 'law:=magic', ('law', 'reduced_equilibrium, paper')),
@@ -33,6 +33,21 @@ def assert_one_clear_error(output, *words):
 )
 def test_bad_parameters(domain, kind, parameter, words):
     code, output = run_node(domain, kind, parameter)
+    assert code == 2
+    assert_one_clear_error(output, *words)
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['rate:=5.0'], ('unknown arguments', 'rate:=5.0', '--ros-args')),
+        (['--help'], ('unknown arguments', '--help', 'config/nodes')),
+        (['--ros-args', '--bogus'], ('ROS arguments', 'bogus')),
+        (['--ros-args', '--params-file', 'nowhere.yaml'], ('ROS arguments', 'nowhere.yaml')),
+    ],
+)
+def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
+    code, output = domain.run('simulator_node', *arguments)
     assert code == 2
     assert_one_clear_error(output, *words)
 
@@ -78,10 +93,14 @@ def test_bad_target_files(domain, tmp_path, content, words):
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        (['--set', 'simulator.rate=0'], ('simulator: rate', '1 to 10000')),
+        (['--set', 'simulator.rate=0'], ('simulator: rate', '1 to 2000')),
         (['--set', 'simulator.speed=1'], ('unknown parameter', 'speed')),
         (['--set', 'plotter.rate=1'], ('unknown node', 'plotter')),
         (['--set', 'rate'], ('<node>.<parameter>=<value>',)),
+        (['--set', 'controller.target_=[1'], ('unknown parameter', 'target_')),
+        (['--set', 'simulator.rate=[1'], ('rate', 'expected a double', '[1')),
+        (['--set', 'recorder.topics=[1'], ('topics', 'expected a string_array', '[1')),
+        (['--namespace', 'bad name'], ('namespace', '/bad name')),
         (['--config', 'nowhere.yaml'], ('nowhere.yaml',)),
         (['--config', __file__], ('expected a ROS 2 parameter file',)),
     ],

@@ -7,12 +7,14 @@ import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.autoencoder import load_checkpoint
-from dpc_ros.network import load_network
+from dpc_ros.network import load_network, save_network
 from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
 
@@ -38,7 +40,16 @@ class Client:
         arguments = [part for item in parameters for part in ('-p', item)]
         self.process = domain.start(f'{kind}_node', '--ros-args', *arguments)
         self.domain = domain
+        self.kind = kind
         observer.wait_for_node(kind)
+
+    def call(self, service_type, name, request):
+        node = self.observer.node
+        service = node.create_client(service_type, f'/{self.kind}/{name}')
+        self.observer.wait(service.service_is_ready, name)
+        future = service.call_async(request)
+        self.observer.wait(future.done, f'the answer of {name}')
+        return future.result()
 
     def connect(self, input_type, input_topic, output_type, output_topic):
         node = self.observer.node
@@ -182,11 +193,7 @@ def test_simulator_services_and_pushes(domain, observer):
     observer.wait(lambda: client.answers, 'the first state')
 
     def call(service_type, name, **request):
-        service = observer.node.create_client(service_type, f'/simulator/{name}')
-        observer.wait(service.service_is_ready, name)
-        future = service.call_async(service_type.Request(**request))
-        observer.wait(future.done, f'the answer of {name}')
-        return future.result().success
+        return client.call(service_type, name, service_type.Request(**request)).success
 
     def stamp():
         return from_stamp(client.answers[-1].header.stamp)
@@ -215,27 +222,70 @@ def test_simulator_services_and_pushes(domain, observer):
     assert 'expected at most 100 N' in client.stop()
 
 
+def test_lifecycle_by_hand(domain, observer, tmp_path):
+    network = tmp_path / 'body.json'
+    save_network(NETWORK, network)
+    client = Client(observer, domain, 'simulator', 'autostart:=false', f'network:={network}')
+    states = client.answers
+    observer.node.create_subscription(JointState, 'configuration', states.append, LOOP_QOS)
+
+    def change(label):
+        request = ChangeState.Request()
+        request.transition.label = label
+        return client.call(ChangeState, 'change_state', request).success
+
+    text = network.read_text()
+    network.write_text('nothing')
+    assert not change('configure')  # stays unconfigured, and alive
+    network.write_text(text)
+    assert change('configure')
+    assert client.call(Trigger, 'reset', Trigger.Request()).success
+    assert not states  # an inactive simulator is silent
+    assert change('activate')
+    observer.wait(lambda: states, 'the first state')
+    assert change('deactivate')
+    assert change('cleanup')
+    count = len(states)
+    assert change('configure')
+    assert change('activate')
+    observer.wait(lambda: len(states) > count + 1, 'the first state again')
+    assert 'expected a network as JSON' in client.stop()
+
+
+def test_a_paused_simulator_still_answers_a_late_node(domain, observer):
+    client = Client(observer, domain, 'simulator', 'resend_interval:=0.05')
+    assert client.call(SetBool, 'pause', SetBool.Request(data=True)).success
+    client.connect(WrenchStamped, 'control_force', JointState, 'configuration')
+    observer.wait(lambda: len(client.answers) > 2, 'the state, published again while paused')
+    client.publisher.publish(force_message(to_stamp(0), 162, np.zeros(2)))
+    observer.wait(
+        lambda: client.call(Trigger, 'step', Trigger.Request()).success, 'the force and a step'
+    )
+    client.stop()
+
+
+def test_several_publishers_are_reported(domain, observer):
+    client = Client(observer, domain, 'encoder')
+    client.connect(JointState, 'configuration', JointState, 'latent_state')
+    second = observer.node.create_publisher(JointState, 'configuration', LOOP_QOS)
+    observer.wait(lambda: second.get_subscription_count() > 0, 'the second publisher')
+    for stamp in range(1, 11):
+        client.ask(configuration(stamp))
+    second.publish(configuration(11))
+    client.ask(configuration(12))
+    assert 'several publishers' in client.stop()
+
+
 @pytest.mark.parametrize('kind', ['simulator', 'encoder', 'controller'])
 def test_parameters_are_described_and_read_only(domain, observer, kind):
-    from rcl_interfaces.srv import DescribeParameters, SetParameters
-
-    process = domain.start(f'{kind}_node')
-    observer.wait_for_node(kind)
-
-    def call(service_type, name, request):
-        client = observer.node.create_client(service_type, f'/{kind}/{name}')
-        observer.wait(client.service_is_ready, name)
-        future = client.call_async(request)
-        observer.wait(future.done, name)
-        return future.result()
-
+    client = Client(observer, domain, kind)
     request = DescribeParameters.Request(names=['network', 'executor'])
-    described = call(DescribeParameters, 'describe_parameters', request).descriptors
+    described = client.call(DescribeParameters, 'describe_parameters', request).descriptors
     assert all(item.description and item.read_only for item in described)
     assert 'kept_wait_set' in described[1].additional_constraints
     change = Parameter('network', Parameter.Type.STRING, 'paper_1').to_parameter_msg()
-    result = call(SetParameters, 'set_parameters', SetParameters.Request(parameters=[change]))
+    request = SetParameters.Request(parameters=[change])
+    result = client.call(SetParameters, 'set_parameters', request)
     assert not result.results[0].successful
     assert result.results[0].reason
-    code, output = domain.stop(process)
-    assert code == 0, output
+    client.stop()

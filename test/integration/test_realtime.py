@@ -37,20 +37,39 @@ def test_nodes_started_by_hand_converge_in_any_order(domain, observer, tmp_path,
     assert convergence.final_nmse < 0.05
 
 
-def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tmp_path):
+@pytest.mark.parametrize(
+    'mode', [(), ('--composed',), ('--realtime',)], ids=['processes', 'composed', 'realtime']
+)
+def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tmp_path, mode):
     seen = []
     observer.node.create_subscription(JointState, 'configuration', seen.append, LOOP_QOS)
-    launcher = domain.start(
-        'launcher', '--output', str(tmp_path / 'run'), '--realtime', '--duration', '0'
-    )
+    launcher = domain.start('launcher', '--output', str(tmp_path / 'run'), '--duration', '0', *mode)
     observer.wait(lambda: len(seen) > 100, 'a running loop')
     launcher.send_signal(signal.SIGINT)
-    output, _ = launcher.communicate(timeout=120)
-    assert launcher.returncode == 130, output
+    observer.wait(lambda: launcher.poll() is not None, 'the launcher to end')
+    assert launcher.returncode == 130, launcher.stdout.read()
     observer.wait(lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone')
     run = read_run(tmp_path / 'run' / 'bag')
-    assert len(run.configuration) >= len(seen) > 100
+    published = {(message.header.stamp.sec, message.header.stamp.nanosec) for message in seen}
+    assert len(run.configuration) >= len(published) - 1 > 50
     assert not any(run.losses.values())
+
+
+def test_a_recorder_ends_beside_a_running_loop(domain, observer, plan, tmp_path):
+    made = plan(record=False, simulator={'duration': 0.0})
+    seen = []
+    observer.node.create_subscription(JointState, 'configuration', seen.append, LOOP_QOS)
+    recorder = domain.start('recorder_node', '--ros-args', '-p', f'bag:={tmp_path / "bag"}')
+    observer.wait_for_node('recorder')
+    for kind in LOOP:
+        domain.start_node(kind, made)
+    observer.wait(lambda: len(seen) > 100, 'a running loop')
+    recorder.send_signal(signal.SIGINT)
+    before = len(seen)
+    observer.wait(lambda: recorder.poll() is not None, 'the recorder to end')
+    assert recorder.returncode == 0, recorder.stdout.read()
+    observer.wait(lambda: len(seen) > before + 100, 'the loop to go on')
+    assert len(read_run(tmp_path / 'bag').configuration) > 0
 
 
 def test_without_a_controller_a_realtime_body_is_left_alone(domain, observer, plan):
