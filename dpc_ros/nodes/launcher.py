@@ -19,7 +19,7 @@ from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.launch_plan import LOOP, NODES, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
-from dpc_ros.nodes.parameters import declarations
+from dpc_ros.nodes.parameters import ParameterError, declarations
 from dpc_ros.nodes.processes import NodeProcesses
 from dpc_ros.nodes.recorder_node import RecorderNode
 from dpc_ros.nodes.simulator_node import SimulatorNode
@@ -163,9 +163,11 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         if not (equals and dot and parameter):
             raise ValueError(f'--set {item}: expected <node>.<parameter>=<value>')
         known = declarations(node) if node in NODES else {}
-        overrides.setdefault(node, {})[parameter] = (
-            known[parameter].parse(value) if parameter in known else value
-        )
+        try:
+            parsed = known[parameter].parse(value) if parameter in known else value
+        except ParameterError as error:
+            raise ParameterError(f'{node}: {error}') from error
+        overrides.setdefault(node, {})[parameter] = parsed
     if options.target is not None:
         overrides.setdefault('controller', {})['target'] = options.target
     if options.duration is not None:

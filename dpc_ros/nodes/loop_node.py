@@ -23,7 +23,7 @@ from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
-from dpc_ros.nodes.stop import StopRequest, check_only_ros_arguments
+from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.threads import single_threaded_algebra
 
@@ -256,7 +256,6 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
     """
     with contextlib.ExitStack() as stack:
         try:
-            check_only_ros_arguments(arguments)
             stop = stack.enter_context(StopRequest(arguments))
             node = make_node(stop.context)
         except ValueError as error:

@@ -16,21 +16,6 @@ PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def check_only_ros_arguments(arguments: list[str] | None = None) -> None:
-    """Make sure that a node is given nothing but ROS arguments.
-
-    Raises:
-        ValueError: there are others, which would be ignored without a word.
-    """
-    given = sys.argv if arguments is None else ['node', *arguments]
-    others = remove_ros_args(given)[1:]
-    if others:
-        raise ValueError(
-            f'unknown arguments {" ".join(others)!r}: expected `--ros-args -p name:=value` or '
-            '`--ros-args --params-file file.yaml`; config/nodes/ lists the parameters'
-        )
-
-
 class StopRequest:
     """A rclpy context for one process, and whether a signal has asked it to stop.
 
@@ -38,12 +23,12 @@ class StopRequest:
     A process that the launcher started (`PARENT_VARIABLE`) stops, too, when the launcher is gone.
 
     Raises:
-        ValueError: on entering, where rclpy can't read its arguments.
+        ValueError: on entering, for arguments that rclpy can't read, or that are not for it.
     """
 
     def __init__(self, arguments: list[str] | None = None) -> None:
         self.context = Context()
-        self._arguments = arguments
+        self._arguments = sys.argv[1:] if arguments is None else arguments
         self._asked = False
         self._parent = os.environ.get(PARENT_VARIABLE)
         self._previous: dict[int, object] = {}
@@ -54,6 +39,7 @@ class StopRequest:
 
     def __enter__(self) -> StopRequest:
         try:
+            others = remove_ros_args(['node', *self._arguments])[1:]
             rclpy.init(
                 args=self._arguments,
                 context=self.context,
@@ -61,6 +47,12 @@ class StopRequest:
             )
         except RuntimeError as error:  # the base of what rclpy raises for bad arguments
             raise ValueError(f'ROS arguments: {str(error).splitlines()[0]}') from error
+        if others:  # rclpy would pass over them without a word
+            self.context.shutdown()
+            raise ValueError(
+                f'unknown arguments {" ".join(others)!r}: expected `--ros-args -p name:=value` or '
+                '`--ros-args --params-file file.yaml`; config/nodes/ lists the parameters'
+            )
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._ask)
         return self
