@@ -20,7 +20,10 @@ def main(arguments: list[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         print(f'error: {error}', file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # Ctrl-C within a compiled function arrives as the cause of a SystemError.
+        if KeyboardInterrupt not in (type(error), type(error.__cause__)):
+            raise
         print('stopped', file=sys.stderr)
         sys.exit(130)
 
@@ -49,17 +52,24 @@ def simulate(options: argparse.Namespace) -> None:
 
 def train(options: argparse.Namespace) -> None:
     """Train an autoencoder by a recipe and write its checkpoint."""
-    from dpc_ros.autoencoder.experiment import train_checkpoint
+    from dpc_ros.autoencoder.experiment import state_path, train_checkpoint
     from dpc_ros.autoencoder.recipe import load_recipe
 
     recipe = load_recipe(options.config)
-    path = train_checkpoint(
-        recipe,
-        data=options.data and Path(options.data),
-        folder=Path(options.output),
-        data_folder=DATA_FOLDER,
-        progress=True,
-    )
+    folder = Path(options.output)
+    try:
+        path = train_checkpoint(
+            recipe,
+            data=options.data and Path(options.data),
+            folder=folder,
+            data_folder=DATA_FOLDER,
+            progress=True,
+        )
+    except KeyboardInterrupt:
+        state = state_path(recipe, folder)
+        if state.exists():
+            print(f'state       {state}: the same command takes the training up again')
+        raise
     print(f'checkpoint  {path}')
 
 
@@ -75,10 +85,10 @@ def converge(options: argparse.Namespace) -> None:
     folder = Path(options.bag)
     folder = folder if folder.is_dir() else folder.parent
     figure = Path(options.figure or folder / 'convergence.png')
-    draw(convergence, figure)
     print(table(convergence))
     for note in notes:
         print(note)
+    draw(convergence, figure)
     print(f'\nfigure      {figure}')
     if options.results:
         write_results(options.results, [*course(convergence), summary(convergence)])

@@ -1,5 +1,6 @@
 """Where the resource files (`config/…`) are: in a source tree, a wheel or a colcon tree."""
 
+import os
 from pathlib import Path
 
 from dpc_ros import __version__
@@ -46,7 +47,7 @@ def find_resource(name_or_path: str | Path, folder: str, suffix: str) -> Path:
     """
     text = str(name_or_path)
     if text.endswith(suffix) or '/' in text:
-        path = Path(text).expanduser()
+        path = Path(os.path.expanduser(text))  # leaves the `~` of an unknown user
     else:
         path = config_path(folder, text + suffix)
     if path.is_file():

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from dpc_ros import __version__
+from dpc_ros.files import replacing
 
 
 def write_results(
@@ -35,9 +36,8 @@ def write_results(
         'seed': seed,
         'rows': [{key: _plain(value) for key, value in row.items()} for row in rows],
     }
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + '\n')
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(content, indent=1) + '\n')
 
 
 def _plain(value: Any) -> Any:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import dpc_ros
+from dpc_ros import cli
+from dpc_ros.autoencoder import experiment
 from dpc_ros.data import load_dataset
 from dpc_ros.network import save_network
 
@@ -60,6 +62,7 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
     [
         (['simulate', 'paper_9'], 'paper_1, paper_2, paper_3, paper_4, paper_5'),
         (['simulate', 'here/nothing.json'], "'here/nothing.json'"),
+        (['simulate', '~nouser/x.json'], "'~nouser/x.json'"),
         (['simulate', 'bad.json'], 'bad.json: expected a network as JSON'),
         (['simulate', 'paper_2', '--integrator', 'euler'], "unknown integrator 'euler'"),
         (['simulate', 'paper_2', '--thinning-distance', 'nan'], 'thinning distance'),
@@ -90,6 +93,56 @@ def test_bad_input_ends_with_one_line_and_leaves_nothing(dpc, tmp_path, argument
     assert error.startswith('error: ')
     assert message in error
     assert sorted(tmp_path.rglob('*')) == before
+
+
+@pytest.mark.parametrize(
+    'error', [KeyboardInterrupt(), SystemError('returned a result')], ids=['plain', 'compiled']
+)
+def test_ctrl_c_ends_with_130(monkeypatch, capsys, error):
+    def stop(options):
+        # A compiled function that is interrupted raises it so.
+        raise error from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli, 'simulate', stop)
+    with pytest.raises(SystemExit) as caught:
+        cli.main(['simulate', 'paper_2'])
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == 'stopped\n'
+
+
+def test_other_errors_of_the_system_are_shown(monkeypatch):
+    def fail(options):
+        raise SystemError('a defect')
+
+    monkeypatch.setattr(cli, 'simulate', fail)
+    with pytest.raises(SystemError, match='a defect'):
+        cli.main(['simulate', 'paper_2'])
+
+
+@pytest.mark.parametrize('begun', [True, False])
+def test_a_training_cut_off_says_that_it_can_be_taken_up(monkeypatch, capsys, tmp_path, begun):
+    state = tmp_path / 'paper_2_flat_m2.state.safetensors'
+
+    def stop(*arguments, **options):
+        if begun:
+            state.touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(experiment, 'train_checkpoint', stop)
+    with pytest.raises(SystemExit) as caught:
+        cli.main(['train', '--config', 'paper_2_flat_m2', '--output', str(tmp_path)])
+    assert caught.value.code == 130
+    told = f'state       {state}: the same command takes the training up again\n'
+    assert capsys.readouterr().out == (told if begun else '')
+
+
+def test_a_place_that_cannot_be_written_is_named(dpc, tmp_path, small_network):
+    save_network(small_network, tmp_path / 'mine.json')
+    run = dpc('simulate', 'mine.json', '--output', 'mine.json/data.npz')
+    assert run.returncode == 2
+    assert "error: mine.json/data.npz can't be written" in run.stderr
+    assert 'Traceback' not in run.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / 'mine.json']
 
 
 def test_simulate_writes_the_data_of_a_network(dpc, tmp_path, small_network):

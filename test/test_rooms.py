@@ -12,6 +12,7 @@ import dpc_ros
 PACKAGE = Path(dpc_ros.__file__).parent
 # From the bottom up: each imports only from itself and those before it.
 ROOMS = [
+    'files',
     'resources',
     'results',
     'threads',

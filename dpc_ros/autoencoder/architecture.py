@@ -20,7 +20,7 @@ class FlatArchitecture:
             that the networks learn only what POD leaves over.
 
     Raises:
-        ValueError: a size is not positive, or the activation is unknown.
+        ValueError: a size is not positive, the activation is unknown, or skip is no bool.
     """
 
     configuration_size: int
@@ -34,6 +34,8 @@ class FlatArchitecture:
         sizes = (self.configuration_size, self.latent_size, *self.hidden_sizes)
         if not all(isinstance(size, int) and size > 0 for size in sizes):
             raise ValueError(f'architecture: expected positive whole sizes, got {sizes}')
+        if not isinstance(self.skip, bool):
+            raise ValueError(f'skip: expected true or false, got {self.skip!r}')
         if self.activation not in ACTIVATIONS:
             raise ValueError(
                 f'activation {self.activation!r}: expected one of {sorted(ACTIVATIONS)}'

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from safetensors.numpy import load, save
 from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
 from dpc_ros.autoencoder.flat import FlatAutoencoder
+from dpc_ros.files import replacing
 from dpc_ros.network import MassSpringNetwork
 from dpc_ros.resources import find_resource
 
@@ -73,8 +73,6 @@ class Checkpoint:
 
 def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
     """Write `<name>.safetensors` and `<name>.json` into a folder and return the JSON's path."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     tensors = save({name: np.asarray(v, order='C') for name, v in checkpoint.tensors.items()})
     content = {
         'format': FORMAT,
@@ -86,9 +84,11 @@ def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
         'sha256': hashlib.sha256(tensors).hexdigest(),
         **checkpoint.provenance,
     }
-    path = folder / f'{checkpoint.name}.json'
-    _replace(path.with_suffix('.safetensors'), tensors)
-    _replace(path, (json.dumps(content, indent=2) + '\n').encode())
+    path = Path(folder) / f'{checkpoint.name}.json'
+    # The tensors, entered last, take their place first.
+    with replacing(path) as text, replacing(path.with_suffix('.safetensors')) as data:
+        data.write_bytes(tensors)
+        text.write_text(json.dumps(content, indent=2) + '\n')
     return path
 
 
@@ -119,7 +119,7 @@ def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
         FlatAutoencoder.from_tensors(architecture, tensors)
     except CheckpointError:
         raise
-    except (SafetensorError, TypeError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f'{path}: architecture and tensors do not fit, {error}') from error
     known = ('format', 'version', 'name', 'kind', 'architecture', 'network', 'sha256')
     return Checkpoint(
@@ -135,7 +135,7 @@ def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CheckpointError(
             f'{path}: expected a checkpoint as JSON (truncated?), but {error}'
         ) from error
@@ -149,13 +149,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     missing = {'name', 'architecture', 'network', 'sha256'} - content.keys()
     if missing:
         raise CheckpointError(f'{path}: expected the keys {sorted(missing)}, which are missing')
+    if not isinstance(content['name'], str):
+        raise CheckpointError(f'{path}: name: expected a text, got {content["name"]!r}')
     network = content['network']
     if not isinstance(network, dict) or not {'name', 'digest'} <= network.keys():
         raise CheckpointError(f'{path}: network: expected its name and digest, got {network!r}')
     return content
-
-
-def _replace(path: Path, data: bytes) -> None:
-    partial = path.with_name(path.name + '.partial')
-    partial.write_bytes(data)
-    os.replace(partial, path)

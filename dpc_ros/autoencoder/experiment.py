@@ -15,6 +15,11 @@ from dpc_ros.data import Dataset, load_dataset, make_dataset, save_dataset
 from dpc_ros.network import MassSpringNetwork, load_network
 
 
+def state_path(recipe: Recipe, folder: Path) -> Path:
+    """Return where the state of an unfinished training lies."""
+    return folder / f'{recipe.name}.state.safetensors'
+
+
 def train_checkpoint(
     recipe: Recipe,
     folder: Path,
@@ -39,7 +44,8 @@ def train_checkpoint(
     """
     network = load_network(recipe.network)
     dataset = _dataset(network, data or data_folder / f'{network.name}.npz', progress)
-    module = train(recipe, dataset, folder / f'{recipe.name}.state.safetensors', progress)
+    state = state_path(recipe, folder)
+    module = train(recipe, dataset, state, progress)
     autoencoder = module.export()
     scores = {
         f'{split}_mse': reconstruction_mse(autoencoder, getattr(dataset, split))
@@ -61,7 +67,9 @@ def train_checkpoint(
             },
         },
     )
-    return save_checkpoint(checkpoint, folder)
+    path = save_checkpoint(checkpoint, folder)
+    state.unlink(missing_ok=True)
+    return path
 
 
 def _dataset(network: MassSpringNetwork, path: Path, progress: bool) -> Dataset:

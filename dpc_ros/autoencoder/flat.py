@@ -12,6 +12,15 @@ from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
 from dpc_ros.autoencoder.perceptron import Layer, Perceptron
 
+_BUFFERS = {
+    'configuration_mean',
+    'configuration_scale',
+    'latent_mean',
+    'latent_scale',
+    'pod_basis',
+    'pod_scale',
+}
+
 
 class FlatAutoencoder(Autoencoder):
     """Dense encoder and decoder (paper, section III), each with an optional linear skip.
@@ -45,8 +54,8 @@ class FlatAutoencoder(Autoencoder):
             tensors: weights and buffers by the names that the module gives them.
 
         Raises:
-            ValueError: a tensor is missing, has another shape than the architecture says, or is
-                a scale that is not positive.
+            ValueError: a tensor is missing or unknown, has another shape than the architecture
+                says, or is a scale that is not positive.
         """
         try:
             return _fold(architecture, {k: v.astype(np.float64) for k, v in tensors.items()})
@@ -86,20 +95,24 @@ def _fold(architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]) -> 
     sizes = [n, *architecture.hidden_sizes, m]
     encoder = _layers(tensors, 'encoder', sizes)
     decoder = _layers(tensors, 'decoder', sizes[::-1])
+    skip_size = m if architecture.skip else 0
     mean = _shaped(tensors, 'configuration_mean', (n,))
     scale = tensors['configuration_scale']
     if scale.size != 1:
         raise ValueError(f'configuration_scale: expected one value, got shape {scale.shape}')
     latent_mean = _shaped(tensors, 'latent_mean', (m,))
     latent_scale = _shaped(tensors, 'latent_scale', (m,))
+    basis = _shaped(tensors, 'pod_basis', (n, skip_size))
+    pod_scale = _shaped(tensors, 'pod_scale', (skip_size,))
+    unknown = tensors.keys() - _BUFFERS - _layer_names(sizes)
+    if unknown:
+        raise ValueError(f'expected no tensors {sorted(unknown)}')
     for name in ('configuration_scale', 'latent_scale', 'pod_scale'):
         if not (tensors[name] > 0).all():
             raise ValueError(f'{name}: expected positive values, got {tensors[name]}')
     encoder_offset, decoder_offset = -latent_mean, mean
     encoder_skip = decoder_skip = None
     if architecture.skip:
-        basis = _shaped(tensors, 'pod_basis', (n, m))
-        pod_scale = _shaped(tensors, 'pod_scale', (m,))
         inward, outward = (basis / pod_scale).T / scale, basis * pod_scale * scale
         encoder_skip = inward / latent_scale[:, None]
         decoder_skip = outward * latent_scale
@@ -117,6 +130,15 @@ def _fold(architecture: FlatArchitecture, tensors: Mapping[str, np.ndarray]) -> 
         Perceptron(encoder, architecture.activation, encoder_skip),
         Perceptron(decoder, architecture.activation, decoder_skip),
     )
+
+
+def _layer_names(sizes: list[int]) -> set[str]:
+    return {
+        f'{part}.{2 * i}.{kind}'
+        for part in ('encoder', 'decoder')
+        for i in range(len(sizes) - 1)
+        for kind in ('weight', 'bias')
+    }
 
 
 def _layers(tensors: Mapping[str, np.ndarray], part: str, sizes: list[int]) -> list[Layer]:

@@ -107,7 +107,7 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
     path = find_resource(name_or_path, 'training', '.yaml')
     try:
         content = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         one_line = ' '.join(str(error).split())
         raise ValueError(f'{path}: expected YAML, but {one_line}') from error
     if not isinstance(content, dict):

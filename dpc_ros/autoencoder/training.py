@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from tqdm import tqdm
 
 from dpc_ros.autoencoder.architecture import FlatArchitecture
@@ -18,9 +17,11 @@ from dpc_ros.autoencoder.base import Autoencoder
 from dpc_ros.autoencoder.flat_module import FlatModule
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.data import Dataset
+from dpc_ros.files import replacing
 
 SAVE_INTERVAL = 10  # epochs between two states on disk
 _EPOCHS_PER_SEED = 1_000_000  # so that no two epochs of two seeds share their batches
+_SHOWN = 3  # tensors named in an error
 
 
 def train(
@@ -37,8 +38,9 @@ def train(
     Args:
         recipe: what to train.
         dataset: configurations; only training and validation are looked at.
-        state_path: file of the state of an unfinished training: read where it exists, written
-            every `SAVE_INTERVAL` epochs, removed at the end.
+        state_path: file of the state of the training: read where it exists, written every
+            `SAVE_INTERVAL` epochs and when the training ends or is cut off, by Ctrl-C for example,
+            always as it was after a whole epoch. It is left for the caller to remove.
         progress: show a progress bar with training and validation error.
 
     Returns:
@@ -67,29 +69,36 @@ def train(
         unit='epoch',
         disable=not progress,
     )
-    for epoch in bar:
-        generator = torch.Generator().manual_seed(recipe.seed * _EPOCHS_PER_SEED + epoch)
-        order = torch.randperm(len(train_set), generator=generator)
-        module.train()
-        total = 0.0
-        for k, batch in enumerate(order.split(recipe.batch_size)):
-            for group in optimizer.param_groups:
-                group['lr'] = recipe.learning_rate_at(epoch * steps_per_epoch + k, steps_per_epoch)
-            q = train_set[batch]
-            loss = torch.nn.functional.mse_loss(module(q), q)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            total += loss.item() * len(batch)
-        module.eval()
-        with torch.no_grad():
-            validation = torch.nn.functional.mse_loss(module(validation_set), validation_set).item()
-        state.finish_epoch(epoch, validation)
-        bar.set_postfix(
-            train=f'{total / len(train_set):.2e}',
-            validation=f'{validation:.2e}',
-            best=f'{state.best_validation:.2e}',
-        )
+    try:
+        for epoch in bar:
+            generator = torch.Generator().manual_seed(recipe.seed * _EPOCHS_PER_SEED + epoch)
+            order = torch.randperm(len(train_set), generator=generator)
+            module.train()
+            total = 0.0
+            for k, batch in enumerate(order.split(recipe.batch_size)):
+                for group in optimizer.param_groups:
+                    group['lr'] = recipe.learning_rate_at(
+                        epoch * steps_per_epoch + k, steps_per_epoch
+                    )
+                q = train_set[batch]
+                loss = torch.nn.functional.mse_loss(module(q), q)
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
+                total += loss.item() * len(batch)
+            module.eval()
+            with torch.no_grad():
+                validation = torch.nn.functional.mse_loss(
+                    module(validation_set), validation_set
+                ).item()
+            state.finish_epoch(epoch, validation)
+            bar.set_postfix(
+                train=f'{total / len(train_set):.2e}',
+                validation=f'{validation:.2e}',
+                best=f'{state.best_validation:.2e}',
+            )
+    finally:
+        state.save()
     state.restore_best()
     module.normalise_latents(dataset.train)
     return module
@@ -137,6 +146,8 @@ class _TrainingState:
         self._module = module
         self._optimizer = optimizer
         self._path = None if path is None else Path(path)
+        self._epochs = recipe.epochs
+        self._finished: tuple[dict[str, torch.Tensor], dict[str, str]] | None = None
         if self._path is not None and self._path.exists():
             self._load()
 
@@ -146,11 +157,14 @@ class _TrainingState:
         if validation < self.best_validation:
             self.best_validation = validation
             self._best = {key: value.clone() for key, value in self._module.state_dict().items()}
-        if self._path is not None and (epoch + 1) % SAVE_INTERVAL == 0:
-            self._save()
+        if self._path is None:
+            return
+        self._finished = self._snapshot()
+        if self.epoch % SAVE_INTERVAL == 0:
+            self.save()
 
     def restore_best(self) -> None:
-        """Put the best weights into the module and remove the file.
+        """Put the best weights into the module.
 
         Raises:
             ValueError: no epoch had a finite validation error.
@@ -161,11 +175,15 @@ class _TrainingState:
                 'is the learning rate too high, or a configuration not finite?'
             )
         self._module.load_state_dict(self._best)
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
 
-    def _save(self) -> None:
-        assert self._path is not None
+    def save(self) -> None:
+        """Write the state after the last whole epoch of this training, if there was one."""
+        if self._path is None or self._finished is None:
+            return
+        with replacing(self._path) as partial:
+            partial.write_bytes(save(*self._finished))
+
+    def _snapshot(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         tensors = {f'module.{key}': value for key, value in self._module.state_dict().items()}
         tensors |= {f'best.{key}': value for key, value in self._best.items()}
         for i, moments in self._optimizer.state_dict()['state'].items():
@@ -175,10 +193,8 @@ class _TrainingState:
             'epoch': str(self.epoch),
             'best_validation': repr(self.best_validation),
         }
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        partial = self._path.with_name(self._path.name + '.partial')
-        save_file({key: value.contiguous() for key, value in tensors.items()}, partial, metadata)
-        os.replace(partial, self._path)
+        # Copies: the next epoch goes on with the tensors themselves.
+        return {key: value.clone().contiguous() for key, value in tensors.items()}, metadata
 
     def _load(self) -> None:
         try:
@@ -186,18 +202,24 @@ class _TrainingState:
                 metadata = file.metadata()
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
             identity = json.loads(metadata['identity'])
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(
-                f'{self._path}: expected the state of an unfinished training, but {error}: '
-                'remove the file'
-            ) from error
+            epoch, best_validation = int(metadata['epoch']), float(metadata['best_validation'])
+        except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise self._damaged(repr(error)) from error
         if identity != self._identity:
             raise ValueError(
                 f'{self._path} is an unfinished training by another recipe or on other data: '
                 'finish that one, or remove the file'
             )
-        self.epoch = int(metadata['epoch'])
-        self.best_validation = float(metadata['best_validation'])
+        shapes = {key: tuple(value.shape) for key, value in tensors.items()}
+        wrong = sorted({key for key, _ in shapes.items() ^ self._shapes().items()})
+        if wrong:
+            raise self._damaged(
+                f'these tensors are missing, unknown or misshapen: {wrong[:_SHOWN]}'
+            )
+        if not 0 < epoch <= self._epochs:
+            raise self._damaged(f'its epoch is {epoch}')
+        self.epoch = epoch
+        self.best_validation = best_validation
         self._module.load_state_dict(_part(tensors, 'module.'))
         self._best = _part(tensors, 'best.')
         moments: dict[int, dict[str, torch.Tensor]] = {}
@@ -206,6 +228,21 @@ class _TrainingState:
             moments.setdefault(int(i), {})[name] = value
         state = self._optimizer.state_dict()
         self._optimizer.load_state_dict({**state, 'state': moments})
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        shapes: dict[str, tuple[int, ...]] = {}
+        for key, value in self._module.state_dict().items():
+            shapes[f'module.{key}'] = shapes[f'best.{key}'] = tuple(value.shape)
+        for i, parameter in enumerate(self._module.parameters()):
+            shapes[f'adam.{i}.step'] = ()
+            shapes[f'adam.{i}.exp_avg'] = shapes[f'adam.{i}.exp_avg_sq'] = tuple(parameter.shape)
+        return shapes
+
+    def _damaged(self, reason: str) -> ValueError:
+        return ValueError(
+            f'{self._path}: expected the state of an unfinished training, but {reason}: '
+            'remove the file'
+        )
 
 
 def _part(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:

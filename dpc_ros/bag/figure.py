@@ -9,6 +9,7 @@ import numpy as np
 
 from dpc_ros.bag.convergence import Convergence
 from dpc_ros.bag.convergence_table import describe_target
+from dpc_ros.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +47,8 @@ def draw(convergence: Convergence, path: str | Path) -> None:
     energy.set_xlim(0, convergence.time[-1] or 1.0)
     figure.align_ylabels()
     _title(figure, convergence)
-    figure.savefig(path, dpi=_RESOLUTION, format='png')
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=_RESOLUTION, format='png')
 
 
 def _draw_nmse(panel: Axes, convergence: Convergence) -> None:

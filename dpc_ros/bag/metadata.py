@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from dpc_ros.bag.topic import Topic, qos_content
+from dpc_ros.files import replacing
 
 FILE_NAME = 'metadata.yaml'
 FORMAT_VERSION = 9
@@ -69,12 +70,10 @@ def bag_text(content: dict[str, Any]) -> str:
 def write_metadata(folder: Path, content: dict[str, Any]) -> None:
     """Write `metadata.yaml` whole or not at all."""
     text = yaml.safe_dump({'rosbag2_bagfile_information': content}, sort_keys=False)
-    draft = folder / (FILE_NAME + '.part')
-    with draft.open('w') as stream:
+    with replacing(folder / FILE_NAME) as partial, partial.open('w') as stream:
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())
-    draft.replace(folder / FILE_NAME)
 
 
 def _topic_content(topic: Topic) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def _mechanics(run: Run, name: str | Path | None, notes: list[str]) -> Mechanics
     body: MassSpringNetwork | None = None
     try:
         body = load_network(name or logged_name)
-    except (FileNotFoundError, ValueError):
+    except (OSError, ValueError):
         if name is not None:
             raise
     if body is None or (name is None and body.digest != digest):
@@ -59,12 +59,12 @@ def _mechanics(run: Run, name: str | Path | None, notes: list[str]) -> Mechanics
 
 
 def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoencoder | None:
-    logged_name, _, digest = run.autoencoder_identifier.partition('@')
+    logged_name, at, digest = run.autoencoder_identifier.partition('@')
     found: Checkpoint | None = None
     try:
         if name or logged_name:
             found = load_checkpoint(name or logged_name)
-    except (FileNotFoundError, ValueError):
+    except (OSError, ValueError):
         if name is not None:
             raise
     if found is None or (name is None and found.digest != digest):
@@ -73,16 +73,25 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
             'name it by --checkpoint'
         )
         return None
+    if at and found.digest != digest:
+        raise ValueError(
+            f'checkpoint: expected that of the log, {run.autoencoder_identifier}, got '
+            f'{found.identifier}: name the one that the run was made with'
+        )
     return found.autoencoder()
 
 
 def _gravity(run: Run) -> Gravity | None:
     """Return the field that the simulator's parameters in the log name, if they are there."""
     record = run.metadata.get(PARAMETERS_RECORD, {})
-    sections = yaml.safe_load(record.get('yaml', '')) or {}
-    parameters: dict[str, float] = {}
-    for name in ('/**', 'simulator', '/simulator', '/**/simulator'):
-        parameters |= sections.get(name, {}).get('ros__parameters', {})
-    if 'gravity_magnitude' not in parameters:
+    try:
+        sections = yaml.safe_load(record.get('yaml', ''))
+        parameters: dict[str, float] = {}
+        for name in ('/**', 'simulator', '/simulator', '/**/simulator'):
+            parameters |= sections.get(name, {}).get('ros__parameters', {})
+        return Gravity(
+            parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
+        )
+    # Whatever another recorder wrote there, it is not the parameters of a simulator.
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
         return None
-    return Gravity(parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle))

@@ -92,7 +92,7 @@ def _newton_direction(
 def feed_forward(
     system: CompressedSystem, target: Float[np.ndarray, ' n'], largest_force: float = np.inf
 ) -> FeedForward:
-    """Return u* = argmin_u |D(ξ_eq(u)) − q̄|, with ξ_eq(u) continued from rest (DESIGN section 3).
+    """Return u* = argmin_u |D(ξ_eq(u)) − q̄|, with ξ_eq(u) continued from rest (docs/control.md).
 
     Levenberg–Marquardt over the two components of the force. Each trial's equilibrium continues
     from the present one, and no step is longer than a bound, so that the search follows one branch

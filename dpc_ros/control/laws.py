@@ -117,7 +117,7 @@ class ReducedEquilibriumLaw(ControlLaw):
     """u = u* + Γ(ξ*)ᵀ[α(ξ* − ξ) − βξ̇], with u* the reduced-equilibrium feed-forward, ξ* = ξ_eq(u*).
 
     u* is the constant force whose static equilibrium in the compressed system is nearest the
-    target (DESIGN section 3); it exists for every m. Γᵀ maps the latent error to the work-conjugate
+    target (docs/control.md); it exists for every m. Γᵀ maps the latent error to the work-conjugate
     of the force, so that the feedback acts like a spring and a damper on the actuated mass.
     """
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -109,15 +111,23 @@ def _simulated_target(specification: str, network: MassSpringNetwork) -> Target:
 
 
 def _target_from_file(specification: str) -> Target:
-    path = Path(specification).expanduser()
+    path = Path(os.path.expanduser(specification))  # leaves the `~` of an unknown user
     if not path.is_file():
         raise TargetError(f'target {specification!r}: no such file; {_SYNTAX}')
     try:
         content = json.loads(path.read_text())
         keys = {'configuration', 'latent'} & content.keys()
-        values = {key: np.array(content[key], dtype=float) for key in keys}
-    except (AttributeError, OverflowError, TypeError, ValueError) as error:
+        values = {key: _numbers(content[key]) for key in keys}
+    except (AttributeError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise TargetError(f'target {specification!r}: {_SYNTAX}, but {error}') from error
     if len(keys) != 1 or any(value.ndim != 1 for value in values.values()):
         raise TargetError(f'target {specification!r}: {_SYNTAX}, one list of numbers')
     return Target(**values)
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Return an array, but not of what numpy would make numbers of: truth values and texts."""
+    for value in values:
+        if isinstance(value, bool | str):
+            raise TypeError(f'{value!r} is no number')
+    return np.array(values, dtype=float)

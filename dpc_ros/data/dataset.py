@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 import zlib
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from dpc_ros import __version__
 from dpc_ros.data.conditions import Condition, test_conditions, training_conditions
 from dpc_ros.data.simulations import DURATION, STEP, simulate_conditions
 from dpc_ros.data.thinning import THINNING_DISTANCE, thin
+from dpc_ros.files import replacing
 from dpc_ros.network import MassSpringNetwork
 
 TEST_STRIDE = 2  # the paper's test set keeps every second step
@@ -122,16 +122,12 @@ def make_dataset(
 
 def save_dataset(dataset: Dataset, path: str | Path) -> None:
     """Write a dataset as one compressed `.npz` file; nothing is left half-written."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + '.partial')
-    with partial.open('wb') as file:
+    with replacing(path) as partial, partial.open('wb') as file:
         np.savez_compressed(
             file,
             provenance=json.dumps(dataset.provenance),
             **{name: getattr(dataset, name) for name in _ARRAYS},
         )
-    os.replace(partial, path)
 
 
 def load_dataset(path: str | Path) -> Dataset:
@@ -150,6 +146,7 @@ def load_dataset(path: str | Path) -> Dataset:
         KeyError,
         EOFError,
         TypeError,
+        RecursionError,
         zipfile.BadZipFile,
         zlib.error,
     ) as error:

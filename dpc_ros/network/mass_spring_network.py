@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from dpc_ros.files import replacing
 from dpc_ros.resources import find_resource
 
 _DIGEST_LENGTH = 12
@@ -135,7 +136,7 @@ def load_network(name_or_path: str | Path) -> MassSpringNetwork:
     path = find_resource(name_or_path, 'systems', '.json')
     try:
         content = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise NetworkError(f'{path}: expected a network as JSON, but {error}') from error
     if not isinstance(content, dict):
         raise NetworkError(f'{path}: expected a JSON object, got a {type(content).__name__}')
@@ -152,7 +153,8 @@ def save_network(network: MassSpringNetwork, path: str | Path) -> None:
         value = getattr(network, field.name)
         content[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
     content['units'] = 'SI: m, kg, N/m, N s/m'
-    Path(path).write_text(json.dumps(content) + '\n')
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(content) + '\n')
 
 
 def _from_json(content: dict[str, Any]) -> MassSpringNetwork:

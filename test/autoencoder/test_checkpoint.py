@@ -110,7 +110,9 @@ def test_missing_tensors_are_named(path):
         load_checkpoint(path)
 
 
-@pytest.mark.parametrize('text', ['', '{"format": "dpc_ros.check', '[]', '{}', 'format: x'])
+@pytest.mark.parametrize(
+    'text', ['', '{"format": "dpc_ros.check', '[]', '{}', 'format: x', '[' * 100_000]
+)
 def test_json_that_is_no_checkpoint_is_refused(path, text):
     path.write_text(text)
     with pytest.raises(CheckpointError, match=r'grid_skip_m3\.json: expected a checkpoint'):
@@ -131,12 +133,41 @@ def test_json_that_is_no_checkpoint_is_refused(path, text):
         ({'architecture': {'configuration_size': 24}}, 'latent_size'),
         ({'architecture': {'configuration_size': 24, 'latent_size': 3, 'depth': 3}}, 'depth'),
         ({'architecture': {'configuration_size': 400, 'latent_size': 3}}, 'expected shape'),
+        ({'name': 7}, 'name: expected a text, got 7'),
+        ({'name': ['grid']}, 'name: expected a text'),
     ],
 )
 def test_json_that_does_not_fit_is_refused(path, changes, message):
     rewrite(path, **changes)
     with pytest.raises(CheckpointError, match=message):
         load_checkpoint(path)
+
+
+@pytest.mark.parametrize('skip', [True, False])
+def test_an_altered_skip_is_refused(make_module, small_network, tmp_path, skip):
+    module = make_module(3, skip=skip)
+    network = {'name': small_network.name, 'digest': small_network.digest}
+    checkpoint = Checkpoint('grid', module.architecture, module.tensors(), network)
+    path = save_checkpoint(checkpoint, tmp_path)
+    architecture = json.loads(path.read_text())['architecture']
+    for value, message in (
+        (not skip, 'pod_basis: expected shape'),
+        (int(skip), 'skip: expected true or false'),
+        (str(skip), 'skip: expected true or false'),
+        (None, 'skip: expected true or false'),
+    ):
+        rewrite(path, architecture={**architecture, 'skip': value})
+        with pytest.raises(CheckpointError, match=message):
+            load_checkpoint(path)
+
+
+def test_unknown_tensors_are_refused(path):
+    for name in ('encoder.6.weight', 'encoder.1.weight', 'extra'):
+        tensors = path.with_suffix('.safetensors').read_bytes()
+        rewrite_tensors(path, lambda tensors, name=name: tensors.update({name: np.ones(2)}))
+        with pytest.raises(CheckpointError, match=rf"expected no tensors \['{name}'\]"):
+            load_checkpoint(path)
+        path.with_suffix('.safetensors').write_bytes(tensors)
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf])

@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
 
+from dpc_ros.autoencoder import experiment as experiment_module
 from dpc_ros.autoencoder import load_checkpoint, training
-from dpc_ros.autoencoder.experiment import train_checkpoint
+from dpc_ros.autoencoder.experiment import state_path, train_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.autoencoder.training import reconstruction_mse, train
 from dpc_ros.data import Condition, Dataset, make_dataset, save_dataset
@@ -65,6 +68,11 @@ def cut_off(monkeypatch, recipe, dataset, path, epoch):
             train(recipe, dataset, path)
 
 
+def epoch_of(path):
+    with safe_open(str(path), framework='pt') as file:
+        return int(file.metadata()['epoch'])
+
+
 def assert_same_bits(first, second):
     first, second = first.tensors(), second.tensors()
     assert first.keys() == second.keys()
@@ -104,10 +112,47 @@ def test_a_training_cut_off_ends_like_an_unbroken_one(
 ):
     path = tmp_path / 'state.safetensors'
     cut_off(monkeypatch, recipe, dataset, path, epoch)
-    assert path.exists() == (epoch >= 2)
+    assert epoch_of(path) == epoch
     resumed = train(recipe, dataset, path)
     assert_same_bits(resumed, train(recipe, dataset))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_training_cut_off_in_its_first_epoch_leaves_nothing(monkeypatch, tmp_path, dataset):
+    cut_off(monkeypatch, RECIPE, dataset, tmp_path / 'state.safetensors', 0)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_cut_off_again_at_once_keeps_its_state(monkeypatch, tmp_path, dataset):
+    path = tmp_path / 'state.safetensors'
+    for _ in range(2):
+        cut_off(monkeypatch, RECIPE, dataset, path, 3)
+        assert epoch_of(path) == 3
+    assert_same_bits(train(RECIPE, dataset, path), train(RECIPE, dataset))
+
+
+def test_a_training_killed_after_a_save_ends_like_an_unbroken_one(monkeypatch, tmp_path, dataset):
+    monkeypatch.setattr(training, 'SAVE_INTERVAL', 2)
+    path, kept = tmp_path / 'state.safetensors', tmp_path / 'kept.safetensors'
+    finish = training._TrainingState.finish_epoch
+
+    def finish_and_keep(state, epoch, validation):
+        finish(state, epoch, validation)
+        if epoch == 4:  # what a kill would leave
+            kept.write_bytes(path.read_bytes())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training._TrainingState, 'finish_epoch', finish_and_keep)
+        unbroken = train(RECIPE, dataset, path)
+    assert epoch_of(kept) == 4
+    assert_same_bits(train(RECIPE, dataset, kept), unbroken)
+
+
+def test_a_finished_training_is_taken_up_at_its_end(tmp_path, dataset):
+    path = tmp_path / 'state.safetensors'
+    first = train(RECIPE, dataset, path)
+    assert epoch_of(path) == RECIPE.epochs
+    assert_same_bits(train(RECIPE, dataset, path), first)
 
 
 @pytest.mark.usefixtures('saved_every_two_epochs')
@@ -132,6 +177,35 @@ def test_a_damaged_state_is_refused(tmp_path, dataset, content):
     path = tmp_path / 'state.safetensors'
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r'state\.safetensors.*remove the file'):
+        train(RECIPE, dataset, path)
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        (lambda t, m: t.pop('module.encoder.0.weight'), r'module\.encoder\.0\.weight'),
+        (lambda t, m: t.pop('best.pod_basis'), r'best\.pod_basis'),
+        (lambda t, m: t.pop('adam.3.exp_avg'), r'adam\.3\.exp_avg'),
+        (lambda t, m: t.update({'adam.0.exp_avg': t['adam.0.step']}), r'adam\.0\.exp_avg'),
+        (lambda t, m: t.update({'best.x': t['adam.0.step']}), r'best\.x'),
+        (lambda t, m: t.update({'adam.x': t['adam.0.step']}), r'adam\.x'),
+        (lambda t, m: m.pop('identity'), 'identity'),
+        (lambda t, m: m.pop('epoch'), 'epoch'),
+        (lambda t, m: m.pop('best_validation'), 'best_validation'),
+        (lambda t, m: m.update(epoch='three'), 'three'),
+        (lambda t, m: m.update(epoch='-1'), 'its epoch is -1'),
+        (lambda t, m: m.update(epoch='10'), 'its epoch is 10'),
+        (lambda t, m: m.clear(), 'NoneType'),
+    ],
+)
+def test_a_state_of_other_contents_is_refused(monkeypatch, tmp_path, dataset, change, message):
+    path = tmp_path / 'state.safetensors'
+    cut_off(monkeypatch, RECIPE, dataset, path, 1)
+    with safe_open(str(path), framework='pt') as file:
+        tensors, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata()  # noqa: SIM118
+    change(tensors, metadata)
+    save_file({key: value.clone() for key, value in tensors.items()}, path, metadata or None)
+    with pytest.raises(ValueError, match=rf'unfinished training, but .*{message}.*remove the file'):
         train(RECIPE, dataset, path)
 
 
@@ -191,6 +265,24 @@ def test_the_checkpoint_states_its_scores_and_its_origin(experiment, small_netwo
         'grid_m2.json',
         'grid_m2.safetensors',
     ]
+
+
+def test_the_state_goes_only_after_the_checkpoint_is_written(monkeypatch, experiment):
+    recipe, _, folder = experiment
+    state = state_path(recipe, folder / 'training')
+
+    def full(checkpoint, folder):
+        raise OSError('no space left')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(experiment_module, 'save_checkpoint', full)
+        with pytest.raises(OSError, match='no space left'):
+            train_checkpoint(recipe, folder / 'training', folder / 'data')
+    assert list(state.parent.iterdir()) == [state]
+    path = train_checkpoint(recipe, folder / 'training', folder / 'data')
+    again = train_checkpoint(recipe, folder / 'again', folder / 'data')
+    assert load_checkpoint(path).digest == load_checkpoint(again).digest
+    assert not state.exists()
 
 
 def test_data_of_another_network_are_refused(experiment, random_network):

@@ -98,6 +98,22 @@ def test_targets_are_sorted_by_stamp_and_told_apart_by_their_names(log_type, rec
     assert [target.latent[0] for target in targets[1:3]] == [3.0, 5.0]
 
 
+@pytest.mark.parametrize(
+    ('names', 'is_latent'),
+    [(['xi_0', 'x_1'], True), (['x_0', 'xi_1'], False), (['', 'xi_1'], False), ([], False)],
+)
+def test_the_first_name_tells_a_latent_target(names, is_latent, messages, tmp_path):
+    # As the controller takes it.
+    with BagWriter(tmp_path / 'bag') as bag:
+        for name in ('/configuration', '/target'):
+            bag.add_topic(messages.topic(name, JOINT_STATE))
+        bag.write('/configuration', messages.joint_state(1, [0.0], [0.0]), 10, 10)
+        bag.write('/target', messages.joint_state(0, [1.0, 2.0], names=names), 11, 11)
+    (target,) = read_run(tmp_path / 'bag').targets
+    assert (target.latent is not None) == is_latent
+    assert (target.configuration is None) == is_latent
+
+
 def test_without_a_controller_there_are_no_forces(log_type, record):
     run = read_run(record(log_type(configuration=[(1, [0.0, 0.0], [0.0, 0.0])])))
     assert run.force.shape == run.external_force.shape == (0, 2)

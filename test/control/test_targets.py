@@ -52,6 +52,7 @@ def test_a_file_holds_a_configuration_or_a_latent(small_network, tmp_path, key):
         ('simulation:2@1001', r'a step of 0 to 1000 \(0\.005 s each\)'),
         ('simulation:2@-1', r'a step of 0 to 1000'),
         ('', r'no such file; expected `simulation'),
+        ('~nouser/x.json', r'no such file; expected `simulation'),
         ('nowhere.json', r'no such file; expected `simulation'),
     ],
 )
@@ -79,7 +80,13 @@ def test_bad_specifications_are_refused(small_network, specification, message):
         '{"configuration": ["one"]}',
         '{"configuration": {"x": 1.0}}',
         '{"configuration": [1' + '0' * 400 + ']}',
+        '{"latent": [true]}',
+        '{"latent": [1.0, false]}',
+        '{"latent": ["1"]}',
+        '{"latent": "12"}',
+        '{"latent": ' + '[' * 100_000 + ']' * 100_000 + '}',
     ],
+    ids=lambda text: text[:40],
 )
 def test_bad_files_are_refused(small_network, tmp_path, text):
     path = tmp_path / 'target.json'

@@ -142,3 +142,4 @@ def test_an_unwritable_dataset_leaves_the_old_one(dataset, file):
     with pytest.raises(TypeError):
         save_dataset(replace(dataset, provenance={'network': object()}), file)
     assert file.read_bytes() == before
+    assert list(file.parent.iterdir()) == [file]

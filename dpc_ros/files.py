@@ -1,0 +1,36 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Give a partial file beside a path, which takes its place once all has been written.
+
+    The folder is made where it is missing. When anything is raised meanwhile, Ctrl-C included, the
+    partial file goes and what was at the path stays.
+
+    Raises:
+        OSError: the file can't be written; the message names it.
+    """
+    path = Path(path)
+    partial = path.parent / f'{path.name}.partial'
+    try:
+        # A device, /dev/null say, must not give way to a file.
+        if path.exists() and not path.is_file():
+            raise FileExistsError('what stands there is no file')
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        os.replace(partial, path)
+    except BaseException as error:
+        with suppress(OSError):
+            partial.unlink()
+        if isinstance(error, OSError):
+            reason = error.strerror or error
+            raise OSError(f"{path} can't be written ({reason}): name another place") from error
+        raise
