@@ -88,7 +88,7 @@ def _run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
     processes = NodeProcesses(plan)
     try:
         processes.start()
-        spin_until(executor, lambda: _tick(monitor) or bool(stop) or processes.is_over())
+        spin_until(executor, lambda: bool(stop) or processes.is_over())
     finally:
         monitor.close()
         processes.stop()
@@ -110,7 +110,6 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
             nodes[kind].start()
 
         def is_over() -> bool:
-            _tick(monitor)
             failed = any(node.failure for node in nodes.values())
             return bool(stop) or failed or nodes['simulator'].finished
 
@@ -124,11 +123,6 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
             node.close()
     failures = [f'{kind}: {node.failure}' for kind, node in nodes.items() if node.failure]
     return (failures[0], 1) if failures else ('', 0)
-
-
-def _tick(monitor: Monitor) -> bool:
-    monitor.refresh()
-    return False
 
 
 def _report(plan: LaunchPlan) -> int:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
@@ -30,7 +29,6 @@ class Monitor(Node):
         for topic in MONITORED:
             self._subscribe(topic)
         self._subscribe('target')
-        self._refreshed = 0.0
         endless = not np.isfinite(plan.duration)
         self._bar = tqdm(
             total=None if endless else plan.duration,
@@ -38,22 +36,17 @@ class Monitor(Node):
             mininterval=_REFRESH,
         )
         self._bar.set_description_str('waiting for the nodes')
-
-    def refresh(self, final: bool = False) -> None:
-        """Bring the bar up to date, at most ten times a second."""
-        now = time.monotonic()
-        if final or now - self._refreshed >= _REFRESH:
-            self._refreshed = now
-            if 'configuration' in self._newest:
-                self._show()
+        self.create_timer(_REFRESH, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def close(self) -> None:
         """End the bar with what came last; the nodes are about to finish."""
-        self.refresh(final=True)
+        self._show()
         self._bar.set_description_str('finishing')
         self._bar.close()
 
     def _show(self) -> None:
+        if 'configuration' not in self._newest:
+            return
         state = deserialize_message(self._newest['configuration'], JointState)
         seconds = from_stamp(state.header.stamp) / 1e9
         if seconds == self._bar.n:
