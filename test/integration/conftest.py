@@ -28,6 +28,23 @@ from dpc_ros.threads import single_threaded_algebra
 
 GIVE_UP = 120.0  # s after which a test stops waiting; nothing is asserted about the time itself
 DEMO = config_path('demo.yaml')
+SHARED_MEMORY = Path('/dev/shm')
+
+
+def mapped_shared_memory(process: int | str) -> set[Path]:
+    """Return the files of Fast DDS that a process holds."""
+    with contextlib.suppress(OSError):
+        maps = Path(f'/proc/{process}/maps').read_text()
+        return {Path(path) for path in re.findall(r'/dev/shm/\S*fast(?:rtps|dds)\S*', maps)}
+    return set()
+
+
+def in_use_by_others() -> set[Path]:
+    """Return the files of Fast DDS that any process holds now, with the locks of their ports."""
+    held = set()
+    for folder in Path('/proc').glob('[0-9]*'):
+        held |= mapped_shared_memory(folder.name)
+    return held | {SHARED_MEMORY / f'sem.{path.name}_mutex' for path in held}
 
 
 @dataclass
@@ -69,10 +86,10 @@ class Domain:
 
     def kill(self, process: subprocess.Popen) -> None:
         """Kill a process, and remember the shared memory that it can't remove any more."""
-        maps = Path(f'/proc/{process.pid}/maps').read_text()
-        self.left_behind |= {
-            Path(path) for path in re.findall(r'/dev/shm/\S*fast(?:rtps|dds)\S*', maps)
-        }
+        held = mapped_shared_memory(process.pid)
+        # The lock of a port is mapped only while it is used.
+        locks = {SHARED_MEMORY / f'sem.{path.name}_mutex' for path in held if '_port' in path.name}
+        self.left_behind |= held | locks
         process.kill()
         process.communicate()
 
@@ -97,7 +114,7 @@ def domain():
             process.kill()
             process.wait()
             process.stdout.close()
-        for path in domain.left_behind:
+        for path in domain.left_behind - in_use_by_others():
             path.unlink(missing_ok=True)
 
 
