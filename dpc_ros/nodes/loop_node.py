@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy
 from rclpy.subscription import Subscription
 
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
@@ -190,7 +191,7 @@ class LoopNode(LifecycleNode):
 
     def say(self, text: str, problem: bool = False) -> None:
         """Log a line, the same one only every few seconds."""
-        now = self._steady_clock.now().nanoseconds / 1e9
+        now = self._steady_clock.now().nanoseconds / NANOSECONDS
         if now - self._said.get(text, -_REPORT_INTERVAL) < _REPORT_INTERVAL:
             return
         self._said[text] = now

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.reader import LATENT_PREFIX
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import Target, TargetError
-
-_NANOSECONDS = 1_000_000_000
 
 
 class MessageError(ValueError):
@@ -23,13 +22,13 @@ class MessageError(ValueError):
 
 def to_stamp(nanoseconds: int) -> Time:
     """Return a message stamp."""
-    seconds, rest = divmod(nanoseconds, _NANOSECONDS)
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
 
 
 def from_stamp(stamp: Time) -> int:
     """Return nanoseconds."""
-    return stamp.sec * _NANOSECONDS + stamp.nanosec
+    return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
 def latent_names(latent_size: int) -> list[str]:

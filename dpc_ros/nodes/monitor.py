@@ -11,6 +11,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.topics import TOPICS
@@ -48,7 +49,7 @@ class Monitor(Node):
         if 'configuration' not in self._newest:
             return
         state = deserialize_message(self._newest['configuration'], JointState)
-        seconds = from_stamp(state.header.stamp) / 1e9
+        seconds = from_stamp(state.header.stamp) / NANOSECONDS
         if seconds == self._bar.n:
             return
         self._bar.n = min(seconds, self._bar.total or seconds)  # tqdm drops a total it passes

@@ -71,14 +71,12 @@ class Declaration:
         Raises:
             ParameterError: it means none of this type.
         """
-        if self.type == 'string':
-            return self.check(text)
+        read = {'string': str, 'double': float}.get(self.type, yaml.safe_load)
         try:
-            return self.check(float(text) if self.type == 'double' else yaml.safe_load(text))
-        except (yaml.YAMLError, ParameterError, ValueError) as error:
-            if isinstance(error, ParameterError):
-                raise
+            value = read(text)
+        except (yaml.YAMLError, ValueError) as error:
             raise ParameterError(f'{self.name}: expected a {self.type}, got {text!r}') from error
+        return self.check(value)
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what `ros2 param describe` shows; parameters are read-only after start."""

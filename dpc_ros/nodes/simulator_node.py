@@ -14,11 +14,10 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
-
-_NANOSECONDS = 1_000_000_000
 
 
 class SimulatorNode(LoopNode):
@@ -39,16 +38,16 @@ class SimulatorNode(LoopNode):
         settings = self.settings
         network = load_network(settings['network'])
         gravity = Gravity(settings['gravity_magnitude'], settings['gravity_angle'])
-        self._step_ns = round(_NANOSECONDS / settings['rate'])
+        self._step_ns = round(NANOSECONDS / settings['rate'])
         integrator = Integrator(
-            Mechanics(network, gravity), self._step_ns / _NANOSECONDS, settings['integrator']
+            Mechanics(network, gravity), self._step_ns / NANOSECONDS, settings['integrator']
         )
         self._body = Body(integrator, settings['actuated_mass'])
         self._body.advance(np.zeros(2))  # compiles the kernels
         self._body.reset()
         self._identifier = network.identifier
         self._names = network.coordinate_names if settings['publish_names'] else []
-        self._last_step = math.ceil(settings['duration'] * _NANOSECONDS / self._step_ns)
+        self._last_step = math.ceil(settings['duration'] * NANOSECONDS / self._step_ns)
         self._realtime = settings['time_mode'] == 'realtime'
         self._step = 0
         self._answered = False  # the present state has been, by a force with its stamp
@@ -151,7 +150,7 @@ class SimulatorNode(LoopNode):
         self._body.advance(self._force, {mass: push for mass, (_, push) in self._pushes.items()})
         if not np.isfinite(self._body.configuration).all():
             self.fail(
-                f'the body diverged at {self._awaited / _NANOSECONDS:g} s: '
+                f'the body diverged at {self._awaited / NANOSECONDS:g} s: '
                 'lower the gains, or raise the rate'
             )
             return
@@ -198,7 +197,7 @@ class SimulatorNode(LoopNode):
         readers = self._configuration.get_subscription_count()
         writers = self.count_publishers('control_force')
         return (
-            f'no control_force for the state at {self._awaited / _NANOSECONDS:g} s within '
+            f'no control_force for the state at {self._awaited / NANOSECONDS:g} s within '
             f'{parameter} = {limit:g} s (configuration has {readers} subscriptions, control_force '
             f'{writers} publishers): are encoder and controller running, and has the controller '
             'a target?'
@@ -216,7 +215,7 @@ class SimulatorNode(LoopNode):
         except ValueError as error:
             self.reject('external_force', MessageError(str(error)))
             return
-        end = self._awaited + round(self.settings['external_force_timeout'] * _NANOSECONDS)
+        end = self._awaited + round(self.settings['external_force_timeout'] * NANOSECONDS)
         self._pushes[mass] = (end, force)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -250,7 +249,7 @@ class SimulatorNode(LoopNode):
         return response
 
     def _now(self) -> float:
-        return self._wall.now().nanoseconds / _NANOSECONDS
+        return self._wall.now().nanoseconds / NANOSECONDS
 
 
 def main(arguments: list[str] | None = None) -> None:
