@@ -10,6 +10,31 @@ from dpc_ros import __version__
 
 DATA_FOLDER = Path('runs/data')
 TRAINING_FOLDER = Path('runs/training')
+PAPER_EXPERIMENTS = (
+    'systems',
+    'mse-table',
+    'compression',
+    'noise',
+    'interpretability',
+    'pointwise',
+    'tables',
+)
+NETWORK_FOLDER = Path('runs/networks')
+# Fields of GeneratorSettings that `dpc generate` sets: type, default, what they are.
+GENERATOR_OPTIONS = {
+    'squares': (int, '7', 'square pieces'),
+    'triangles': (int, '6', 'triangular pieces'),
+    'width': (int, '5', 'masses along a side of a piece'),
+    'lateral_probability': (float, '0.3', 'that a lateral begins at a free side'),
+    'lateral_decay': (float, '0.6', 'factor on it with each piece of the lateral'),
+    'spacing': (float, '0.3', 'distance of neighbouring masses [m]'),
+    'mass': (float, '1/205', 'of each point [kg]'),
+    'stiffness': (float, '50', 'of edges [N/m]'),
+    'diagonal_stiffness': (float, '100', 'of diagonals of squares [N/m]'),
+    'damping_coefficient': (float, '0.1', 'of every spring [N·s/m]'),
+    'background_stiffness': (float, '0.2', 'k_s [N/m]'),
+    'background_rest_fraction': (float, '1/205', 'c'),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -26,6 +51,31 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print('stopped', file=sys.stderr)
         sys.exit(130)
+
+
+def generate(options: argparse.Namespace) -> None:
+    """Make a random network like the paper's and write it as JSON."""
+    from dpc_ros.network import GeneratorSettings, generate_network, save_network
+
+    chosen = {key: getattr(options, key) for key in GENERATOR_OPTIONS if hasattr(options, key)}
+    settings = GeneratorSettings(damping_kind=options.damping, **chosen)
+    network = generate_network(options.name, options.seed, settings, progress=True)
+    path = Path(options.output or NETWORK_FOLDER / f'{network.name}.json')
+    save_network(network, path)
+    print(f'network     {network.identifier}')
+    print(f'masses      {len(network.mobile)} mobile, {len(network.fixed)} fixed')
+    print(f'springs     {len(network.springs)}')
+    print(f'file        {path}')
+
+
+def draw(options: argparse.Namespace) -> None:
+    """Draw a network at rest: springs, masses and some of their numbers, to scale."""
+    from dpc_ros.network import draw_figure, load_network
+
+    network = load_network(options.network)
+    path = Path(options.output or NETWORK_FOLDER / f'{network.name}.png')
+    draw_figure(network, path)
+    print(f'figure      {path}')
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -73,6 +123,50 @@ def train(options: argparse.Namespace) -> None:
     print(f'checkpoint  {path}')
 
 
+def select(options: argparse.Namespace) -> None:
+    """Train a recipe under every combination of a grid and show which validates best."""
+    from dpc_ros.autoencoder.recipe import load_recipe
+    from dpc_ros.autoencoder.selection import PAPER_GRIDS, grid_recipes, load_grid
+    from dpc_ros.autoencoder.selection import select as run
+    from dpc_ros.results import write_results
+
+    recipe = load_recipe(options.config)
+    grid = load_grid(options.grid) if options.grid else PAPER_GRIDS.get(recipe.kind)
+    if grid is None:
+        raise ValueError(f'the paper has no grid for kind {recipe.kind!r}: name one by --grid')
+    folder = Path(options.output) / f'{recipe.name}_grid'
+    try:
+        rows = run(
+            grid_recipes(recipe, grid),
+            folder,
+            DATA_FOLDER,
+            address=options.address,
+            parallel=options.parallel,
+            early_stopping=options.early_stopping,
+            progress=True,
+        )
+    except KeyboardInterrupt:
+        print(f'state       {folder}: the same command takes the search up again')
+        raise
+    keys = [*grid, 'epochs', 'train_mse', 'validation_mse']
+    print('  '.join(f'{key:>14}' for key in keys))
+    for row in rows:
+        print('  '.join(_cell(row[key]) for key in keys))
+    print(f'best        {folder / rows[0]["name"]}.json')
+    if options.results:
+        write_results(options.results, rows, seed=recipe.seed)
+        print(f'results     {options.results}')
+
+
+def paper(options: argparse.Namespace) -> None:
+    """Run one of the paper's experiments: results as JSON, figures, or the tables of the docs."""
+    from dpc_ros.paper.commands import run
+    from dpc_ros.paper.models import Workshop
+
+    workshop = Workshop(Path(options.data), Path(options.training))
+    run(options.experiment, workshop, Path(options.docs))
+
+
 def converge(options: argparse.Namespace) -> None:
     """Read a log back and show how the run converged; no ROS needed."""
     from dpc_ros.bag import course, draw, summary, table
@@ -95,10 +189,38 @@ def converge(options: argparse.Namespace) -> None:
         print(f'results     {options.results}')
 
 
+def _cell(value: object) -> str:
+    return (
+        f'{value:>14.6g}'
+        if isinstance(value, float)
+        else f'{value if value is not None else "–":>14}'
+    )
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog='dpc', description='Offline commands of dpc_ros.')
     parser.add_argument('--version', action='version', version=__version__)
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
+
+    command = commands.add_parser('generate', help=generate.__doc__, description=generate.__doc__)
+    command.set_defaults(command=generate)
+    command.add_argument('name', help='of the network, one word')
+    command.add_argument('--output', help=f'JSON to write; default {NETWORK_FOLDER}/<name>.json')
+    command.add_argument('--seed', type=int, default=0, help='of the random numbers, default 0')
+    command.add_argument('--damping', default='isotropic', help='isotropic (default) or axial')
+    for key, (kind, default, meaning) in GENERATOR_OPTIONS.items():
+        command.add_argument(
+            f'--{key.replace("_", "-")}',
+            type=kind,
+            default=argparse.SUPPRESS,
+            metavar='N' if kind is int else 'X',
+            help=f'{meaning}, default {default}',
+        )
+
+    command = commands.add_parser('draw', help=draw.__doc__, description=draw.__doc__)
+    command.set_defaults(command=draw)
+    command.add_argument('network', help='shipped network by name, or path of its JSON file')
+    command.add_argument('--output', help=f'PNG to write; default {NETWORK_FOLDER}/<name>.png')
 
     command = commands.add_parser('simulate', help=simulate.__doc__, description=simulate.__doc__)
     command.set_defaults(command=simulate)
@@ -115,6 +237,31 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument('--data', help='file of `dpc simulate`; made where it is missing')
     command.add_argument(
         '--output', default=str(TRAINING_FOLDER), help=f'folder, default {TRAINING_FOLDER}'
+    )
+
+    command = commands.add_parser('select', help=select.__doc__, description=select.__doc__)
+    command.set_defaults(command=select)
+    command.add_argument('--config', required=True, help='shipped recipe by name, or a YAML file')
+    command.add_argument('--grid', help="YAML of fields and their values; default the paper's grid")
+    command.add_argument('--address', help='of a Ray cluster; default this machine')
+    command.add_argument('--parallel', type=int, help='trainings at a time; default one a core')
+    command.add_argument(
+        '--early-stopping', action='store_true', help='end trainings early that are behind'
+    )
+    command.add_argument(
+        '--output', default=str(TRAINING_FOLDER), help=f'folder, default {TRAINING_FOLDER}'
+    )
+    command.add_argument('--results', help='JSON to write the table to, as in docs/results')
+
+    command = commands.add_parser('paper', help=paper.__doc__, description=paper.__doc__)
+    command.set_defaults(command=paper)
+    command.add_argument('experiment', help=', '.join(PAPER_EXPERIMENTS))
+    command.add_argument('--data', default=str(DATA_FOLDER), help=f'default {DATA_FOLDER}')
+    command.add_argument(
+        '--training', default=str(TRAINING_FOLDER), help=f'checkpoints; default {TRAINING_FOLDER}'
+    )
+    command.add_argument(
+        '--docs', default='docs', help='where results and figures go, default docs'
     )
 
     command = commands.add_parser('converge', help=converge.__doc__, description=converge.__doc__)

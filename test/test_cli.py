@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ import dpc_ros
 from dpc_ros import cli
 from dpc_ros.autoencoder import experiment
 from dpc_ros.data import load_dataset
-from dpc_ros.network import save_network
+from dpc_ros.network import GeneratorSettings, generate_network, load_network, save_network
 
-COMMANDS = ['simulate', 'train', 'converge']
+COMMANDS = ['generate', 'draw', 'simulate', 'train', 'converge']
 
 
 @pytest.fixture
@@ -60,6 +61,13 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
 @pytest.mark.parametrize(
     ('arguments', 'message'),
     [
+        (['generate', 'two words'], 'name: expected one word'),
+        (['generate', 'mine', '--seed', '-1'], 'seed: expected a whole number'),
+        (['generate', 'mine', '--width', '1'], 'width: expected a whole number'),
+        (['generate', 'mine', '--damping', 'radial'], 'damping_kind: expected one of'),
+        (['generate', 'mine', '--output', 'bad.json/mine.json'], "bad.json/mine.json can't be"),
+        (['draw', 'paper_9'], 'paper_1, paper_2, paper_3, paper_4, paper_5'),
+        (['draw', 'bad.json'], 'bad.json: expected a network as JSON'),
         (['simulate', 'paper_9'], 'paper_1, paper_2, paper_3, paper_4, paper_5'),
         (['simulate', 'here/nothing.json'], "'here/nothing.json'"),
         (['simulate', '~nouser/x.json'], "'~nouser/x.json'"),
@@ -165,3 +173,60 @@ def test_simulate_writes_where_it_is_told(dpc, tmp_path, small_network):
     assert run.returncode == 0, run.stderr
     written = [path.name for path in tmp_path.rglob('*') if path.is_file()]
     assert sorted(written) == ['data.npz', 'mine.json']
+
+
+def test_generate_writes_the_network_of_its_seed(dpc, tmp_path):
+    run = dpc('generate', 'mine', '--seed', '7')
+    assert run.returncode == 0, run.stderr
+    (path,) = (path for path in tmp_path.rglob('*') if path.is_file())
+    assert path == tmp_path / 'runs' / 'networks' / 'mine.json'
+    network = generate_network('mine', 7)
+    assert load_network(path).identifier == network.identifier
+    assert network.identifier in run.stdout
+    assert 'masses      200 mobile, 5 fixed\nsprings     636\n' in run.stdout
+
+
+def test_generate_passes_every_setting_on(dpc, tmp_path):
+    settings = GeneratorSettings(
+        squares=2,
+        triangles=3,
+        width=4,
+        lateral_probability=0.9,
+        lateral_decay=0.8,
+        spacing=0.5,
+        mass=0.1,
+        stiffness=20.0,
+        diagonal_stiffness=30.0,
+        damping_coefficient=0.2,
+        damping_kind='axial',
+        background_stiffness=0.4,
+        background_rest_fraction=0.25,
+    )
+    values = asdict(settings)
+    values['damping'] = values.pop('damping_kind')
+    assert values.keys() == {*cli.GENERATOR_OPTIONS, 'damping'}
+    options = [f'--{key.replace("_", "-")}={value}' for key, value in values.items()]
+    run = dpc('generate', 'mine', '--output', 'here.json', *options)
+    assert run.returncode == 0, run.stderr
+    expected = generate_network('mine', 0, settings)
+    assert load_network(tmp_path / 'here.json').identifier == expected.identifier
+
+
+def test_help_of_generate_names_the_defaults():
+    settings = GeneratorSettings()
+    for key, (kind, default, _) in cli.GENERATOR_OPTIONS.items():
+        above, _, below = default.partition('/')
+        assert kind(above) / kind(below or 1) == getattr(settings, key)
+        assert isinstance(getattr(settings, key), kind)
+
+
+def test_draw_writes_a_picture(dpc, tmp_path, small_network):
+    save_network(small_network, tmp_path / 'mine.json')
+    for arguments, path in (
+        ([], 'runs/networks/grid.png'),
+        (['--output', 'here.png'], 'here.png'),
+    ):
+        run = dpc('draw', 'mine.json', *arguments)
+        assert run.returncode == 0, run.stderr
+        assert run.stdout == f'figure      {path}\n'
+        assert (tmp_path / path).read_bytes().startswith(b'\x89PNG')

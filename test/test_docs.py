@@ -2,13 +2,23 @@
 
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dpc_ros import cli
 from dpc_ros.bag.convergence_table import format_row
 from dpc_ros.bag.reader import read_run
+from dpc_ros.network import (
+    Gravity,
+    Integrator,
+    MassSpringNetwork,
+    Mechanics,
+    load_network,
+    simulate,
+)
 from dpc_ros.resources import share_directory
 
 ROOT = share_directory()
@@ -57,3 +67,33 @@ def test_sample_log_is_whole():
     assert len(run.configuration) == len(run.latent) == len(run.force)
     assert not any(run.losses.values())
     assert Path(bag / 'metadata.yaml').is_file()
+
+
+def test_example_of_the_networks_page_is_a_body(tmp_path):
+    page = (ROOT / 'docs/networks.md').read_text()
+    (example,) = re.findall(r'```json\n(.*?)```', page, re.S)
+    path = tmp_path / 'mine.json'
+    path.write_text(example)
+    network = load_network(path)
+    mechanics, rest = Mechanics(network, Gravity(9.81)), network.rest_configuration
+    run = simulate(Integrator(mechanics, 0.005), rest, np.zeros_like(rest), 2000)
+    energy = [mechanics.total_energy(*s) for s in zip(run.configuration, run.velocity, strict=True)]
+    assert np.diff(energy).max() <= 1e-6
+    assert np.abs(run.velocity[-1]).max() < 1e-3
+    assert 0 < np.abs(run.configuration - rest).max() < 0.1
+    cli.main(['draw', str(path), '--output', str(tmp_path / 'mine.png')])
+    assert (tmp_path / 'mine.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_networks_page_names_every_key():
+    page = (ROOT / 'docs/networks.md').read_text()
+    (example,) = re.findall(r'```json\n(.*?)```', page, re.S)
+    keys = {field.name for field in fields(MassSpringNetwork)} | {'units'}
+    assert set(re.findall(r'^\| `(\w+)` \|', page, re.M)) == json.loads(example).keys() == keys
+
+
+def test_generator_example_of_the_networks_page_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (example,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/networks.md').read_text(), re.S)
+    exec(example, {})
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['small.json', 'small.png']

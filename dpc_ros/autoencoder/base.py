@@ -11,7 +11,7 @@ from jaxtyping import Float
 class Autoencoder(ABC):
     """An encoder E: ℝⁿ → ℝᵐ and a decoder D: ℝᵐ → ℝⁿ with their derivatives, in float64.
 
-    `encode` and `decode` take any leading dimensions; the derivatives take one point.
+    `encode`, `decode` and `decode_with_jacobian` take any leading dimensions, the others one point.
     """
 
     @property
@@ -34,13 +34,25 @@ class Autoencoder(ABC):
 
     @abstractmethod
     def encoder_jacobian_vector_product(
-        self, configuration: Float[np.ndarray, ' n'], velocity: Float[np.ndarray, ' n']
+        self,
+        configuration: Float[np.ndarray, ' n'],
+        velocity: Float[np.ndarray, ' n'],
+        guess: Float[np.ndarray, ' m'] | None = None,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        """Return ξ = E(q) and ξ̇ = J_E(q) q̇ in one pass (paper, section IV)."""
+        """Return ξ = E(q) and ξ̇ = J_E(q) q̇ in one pass (paper, section IV).
+
+        An encoder that iterates may start from `guess`, a latent state nearby; others ignore it.
+        """
 
     @abstractmethod
+    def decode_with_jacobian(
+        self, latent: Float[np.ndarray, '*batch m']
+    ) -> tuple[Float[np.ndarray, '*batch n'], Float[np.ndarray, '*batch n m']]:
+        """Return D(ξ) [m] and J = ∂D/∂ξ for any leading dimensions."""
+
     def decoder_jacobian(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'n m']:
         """Return J = ∂D/∂ξ."""
+        return self.decode_with_jacobian(latent)[1]
 
     @abstractmethod
     def decoder_curvature(

@@ -12,9 +12,9 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from dpc_ros.autoencoder.architecture import FlatArchitecture
+from dpc_ros.autoencoder.architecture import Architecture
 from dpc_ros.autoencoder.base import Autoencoder
-from dpc_ros.autoencoder.flat import FlatAutoencoder
+from dpc_ros.autoencoder.kinds import KindError, load_kind
 from dpc_ros.files import replacing
 from dpc_ros.network import MassSpringNetwork
 from dpc_ros.resources import find_resource
@@ -42,7 +42,7 @@ class Checkpoint:
     """
 
     name: str
-    architecture: FlatArchitecture
+    architecture: Architecture
     tensors: dict[str, np.ndarray]
     network: dict[str, str]
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Checkpoint:
 
     def autoencoder(self) -> Autoencoder:
         """Return it for online use, in float64."""
-        return FlatAutoencoder.from_tensors(self.architecture, self.tensors)
+        return load_kind(self.architecture.kind).autoencoder(self.architecture, self.tensors)
 
     def check_network(self, network: MassSpringNetwork) -> None:
         """Make sure that the checkpoint was trained on this network.
@@ -78,7 +78,7 @@ def save_checkpoint(checkpoint: Checkpoint, folder: str | Path) -> Path:
         'format': FORMAT,
         'version': VERSION,
         'name': checkpoint.name,
-        'kind': 'flat',
+        'kind': checkpoint.architecture.kind,
         'architecture': asdict(checkpoint.architecture),
         'network': checkpoint.network,
         'sha256': hashlib.sha256(tensors).hexdigest(),
@@ -112,11 +112,12 @@ def load_checkpoint(name_or_path: str | Path) -> Checkpoint:
             f'got {sha256}: copy or train the checkpoint again'
         )
     try:
-        architecture = FlatArchitecture(**content['architecture'])
+        kind = load_kind(content['kind'])
+        architecture = kind.architecture(**content['architecture'])
         tensors = load(data)
         if not all(np.isfinite(value).all() for value in tensors.values()):
             raise CheckpointError(f'{tensors_path}: holds values that are not finite')
-        FlatAutoencoder.from_tensors(architecture, tensors)
+        kind.autoencoder(architecture, tensors)
     except CheckpointError:
         raise
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
@@ -141,11 +142,15 @@ def _read_json(path: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(content, dict) or content.get('format') != FORMAT:
         raise CheckpointError(f'{path}: expected a checkpoint, "format" should be {FORMAT!r}')
-    if content.get('version') != VERSION or content.get('kind') != 'flat':
+    if content.get('version') != VERSION:
         raise CheckpointError(
-            f'{path}: kind {content.get("kind")!r}, version {content.get("version")!r}; this '
-            f"dpc_ros reads 'flat', version {VERSION}: use the dpc_ros that wrote it or train anew"
+            f'{path}: version {content.get("version")!r}; this dpc_ros reads version {VERSION}: '
+            'use the dpc_ros that wrote it or train anew'
         )
+    try:
+        load_kind(content.get('kind', ''))
+    except KindError as error:
+        raise CheckpointError(f'{path}: {error}') from error
     missing = {'name', 'architecture', 'network', 'sha256'} - content.keys()
     if missing:
         raise CheckpointError(f'{path}: expected the keys {sorted(missing)}, which are missing')

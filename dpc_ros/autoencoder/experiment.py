@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from dpc_ros import __version__
-from dpc_ros.autoencoder.checkpoint import Checkpoint, save_checkpoint
+from dpc_ros.autoencoder.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.autoencoder.training import reconstruction_mse, train
-from dpc_ros.data import Dataset, load_dataset, make_dataset, save_dataset
+from dpc_ros.data import Dataset, extended_conditions, load_dataset, make_dataset, save_dataset
 from dpc_ros.network import MassSpringNetwork, load_network
 
 
@@ -26,6 +27,7 @@ def train_checkpoint(
     data_folder: Path,
     data: Path | None = None,
     progress: bool = False,
+    on_epoch: Callable[[int, float], None] | None = None,
 ) -> Path:
     """Train by a recipe and write the checkpoint; an unfinished training is taken up again.
 
@@ -35,6 +37,7 @@ def train_checkpoint(
         data_folder: where the data of a network are kept, and made where they are missing.
         data: file of the data, instead of the one in `data_folder`.
         progress: show progress bars.
+        on_epoch: as of `train`.
 
     Returns:
         the path of the checkpoint's JSON.
@@ -43,9 +46,9 @@ def train_checkpoint(
         ValueError: the data belong to another network.
     """
     network = load_network(recipe.network)
-    dataset = _dataset(network, data or data_folder / f'{network.name}.npz', progress)
+    dataset = dataset_for(recipe, network, data_folder, data, progress)
     state = state_path(recipe, folder)
-    module = train(recipe, dataset, state, progress)
+    module = train(recipe, network, dataset, state, progress, on_epoch)
     autoencoder = module.export()
     scores = {
         f'{split}_mse': reconstruction_mse(autoencoder, getattr(dataset, split))
@@ -72,9 +75,51 @@ def train_checkpoint(
     return path
 
 
-def _dataset(network: MassSpringNetwork, path: Path, progress: bool) -> Dataset:
+def trained_checkpoint(
+    recipe: Recipe,
+    folder: Path,
+    data_folder: Path,
+    progress: bool = False,
+    on_epoch: Callable[[int, float], None] | None = None,
+) -> Checkpoint:
+    """Return the checkpoint of a recipe from a folder; it is trained where it isn't there yet.
+
+    Raises:
+        ValueError: the folder holds a checkpoint of that name by another recipe or of another
+            body, or the data belong to another network.
+    """
+    path = folder / f'{recipe.name}.json'
     if not path.is_file():
-        save_dataset(make_dataset(network, progress=progress), path)
+        train_checkpoint(recipe, folder, data_folder, progress=progress, on_epoch=on_epoch)
+    checkpoint = load_checkpoint(path)
+    checkpoint.check_network(load_network(recipe.network))
+    stored = Recipe(**checkpoint.provenance['recipe'])
+    if stored != recipe:
+        raise ValueError(
+            f'{path} was trained by another recipe than the one asked for: {stored} is not '
+            f'{recipe}: move the file away, or train in another folder'
+        )
+    return checkpoint
+
+
+def dataset_for(
+    recipe: Recipe,
+    network: MassSpringNetwork,
+    data_folder: Path,
+    data: Path | None = None,
+    progress: bool = False,
+) -> Dataset:
+    """Return the data that a recipe trains on, simulated where their file is missing.
+
+    Raises:
+        ValueError: the file holds data of another network, or other simulations.
+    """
+    extra = recipe.extra_simulations
+    name = f'{network.name}_plus{extra}' if extra else network.name
+    path = data or data_folder / f'{name}.npz'
+    if not path.is_file():
+        conditions = extended_conditions(extra)
+        save_dataset(make_dataset(network, conditions, progress=progress), path)
     dataset = load_dataset(path)
     digest = dataset.provenance['network_digest']
     if digest != network.digest:

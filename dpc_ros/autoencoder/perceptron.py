@@ -1,27 +1,19 @@
-"""A multilayer perceptron with an optional linear skip, evaluated in float64 with derivatives."""
+"""A network of affine layers with an optional linear skip, in float64 and with derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.autoencoder.activations import ACTIVATIONS
-
-
-@dataclass(frozen=True, eq=False)
-class Layer:
-    """An affine map x ↦ Wx + b."""
-
-    weight: Float[np.ndarray, 'outputs inputs']
-    bias: Float[np.ndarray, ' outputs']
+from dpc_ros.autoencoder.layers import Layer
 
 
 class Perceptron:
-    """f(x) = Sx + W_L σ(… σ(W₁x + b₁) …) + b_L, linear in its last layer.
+    """f(x) = Sx + W_L σ(… σ(W₁x + b₁) …) + b_L, linear in its last layer, W_l of any structure.
 
     Args:
         layers: the affine maps from input to output.
@@ -39,58 +31,61 @@ class Perceptron:
         skip: Float[np.ndarray, 'outputs inputs'] | None = None,
     ) -> None:
         for before, after in pairwise(layers):
-            if after.weight.shape[1] != before.weight.shape[0]:
+            if after.input_size != before.output_size:
                 raise ValueError(
-                    f'a layer of {before.weight.shape[0]} outputs is followed by one of '
-                    f'{after.weight.shape[1]} inputs'
+                    f'a layer of {before.output_size} outputs is followed by one of '
+                    f'{after.input_size} inputs'
                 )
-        self.layers = [
-            Layer(np.ascontiguousarray(each.weight, float), np.ascontiguousarray(each.bias, float))
-            for each in layers
-        ]
+        self.layers = list(layers)
         self.skip = None if skip is None else np.ascontiguousarray(skip, float)
         self._activation = ACTIVATIONS[activation]
 
     @property
     def input_size(self) -> int:
         """Return the size of x."""
-        return self.layers[0].weight.shape[1]
+        return self.layers[0].input_size
 
     @property
     def output_size(self) -> int:
         """Return the size of f(x)."""
-        return self.layers[-1].weight.shape[0]
+        return self.layers[-1].output_size
 
     def value(self, x: Float[np.ndarray, '*batch inputs']) -> Float[np.ndarray, '*batch outputs']:
         """Return f(x) for any leading dimensions."""
         hidden = x
         for layer in self.layers[:-1]:
-            hidden = self._activation.value(hidden @ layer.weight.T + layer.bias)
-        last = self.layers[-1]
-        value = hidden @ last.weight.T + last.bias
+            hidden = self._activation.value(layer.value(hidden))
+        value = self.layers[-1].value(hidden)
         return value if self.skip is None else value + x @ self.skip.T
 
     def value_and_jacobian_product(
-        self, x: Float[np.ndarray, ' inputs'], tangent: Float[np.ndarray, inputs * directions]
-    ) -> tuple[Float[np.ndarray, ' outputs'], Float[np.ndarray, outputs * directions]]:
-        """Return f(x) and (∂f/∂x)·t for one tangent or for several as columns (forward mode)."""
+        self, x: Float[np.ndarray, ' inputs'], tangent: Float[np.ndarray, ' inputs']
+    ) -> tuple[Float[np.ndarray, ' outputs'], Float[np.ndarray, ' outputs']]:
+        """Return f(x) and (∂f/∂x)·t (forward mode)."""
+        return self._forward(x, tangent)
+
+    def value_and_jacobian(
+        self, x: Float[np.ndarray, '*batch inputs']
+    ) -> tuple[Float[np.ndarray, '*batch outputs'], Float[np.ndarray, '*batch outputs inputs']]:
+        """Return f(x) and ∂f/∂x for any leading dimensions."""
+        tangents = np.broadcast_to(np.eye(self.input_size), (*x.shape, self.input_size))
+        value, products = self._forward(x, tangents)
+        return value, products.swapaxes(-1, -2)
+
+    def _forward(self, x: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Move one tangent along with x, or several: their axis stands before the last."""
         hidden, moved = x, tangent
         for layer in self.layers[:-1]:
-            z = layer.weight @ hidden + layer.bias
+            z = layer.value(hidden)
             slope = self._activation.first_derivative(z)
-            moved = (layer.weight @ moved) * (slope if tangent.ndim == 1 else slope[:, None])
+            moved = layer.product(moved) * (slope if moved.ndim == z.ndim else slope[..., None, :])
             hidden = self._activation.value(z)
         last = self.layers[-1]
-        value = last.weight @ hidden + last.bias
-        product = last.weight @ moved
+        value, product = last.value(hidden), last.product(moved)
         if self.skip is not None:
-            value = value + self.skip @ x
-            product = product + self.skip @ tangent
+            value = value + x @ self.skip.T
+            product = product + tangent @ self.skip.T
         return value, product
-
-    def jacobian(self, x: Float[np.ndarray, ' inputs']) -> Float[np.ndarray, 'outputs inputs']:
-        """Return ∂f/∂x."""
-        return self.value_and_jacobian_product(x, np.eye(self.input_size))[1]
 
     def curvature(
         self, x: Float[np.ndarray, ' inputs'], weight: Float[np.ndarray, ' outputs']
@@ -104,19 +99,19 @@ class Perceptron:
         hidden, moved = x, np.eye(self.input_size)
         inputs, tangents = [], []
         for layer in self.layers[:-1]:
-            z = layer.weight @ hidden + layer.bias
-            tangent = layer.weight @ moved
+            z = layer.value(hidden)
+            tangent = layer.product(moved)  # one row a direction
             inputs.append(z)
             tangents.append(tangent)
             hidden = self._activation.value(z)
-            moved = self._activation.first_derivative(z)[:, None] * tangent
+            moved = self._activation.first_derivative(z) * tangent
         adjoint = weight
         hessian = np.zeros((self.input_size, self.input_size))
         for layer, z, tangent in zip(
             reversed(self.layers[1:]), reversed(inputs), reversed(tangents), strict=True
         ):
-            adjoint = adjoint @ layer.weight
+            adjoint = layer.adjoint_product(adjoint)
             bend = adjoint * self._activation.second_derivative(z)
-            hessian += tangent.T @ (bend[:, None] * tangent)
+            hessian += (tangent * bend) @ tangent.T
             adjoint = adjoint * self._activation.first_derivative(z)
         return hessian

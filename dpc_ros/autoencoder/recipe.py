@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from dpc_ros.autoencoder.activations import ACTIVATIONS
+from dpc_ros.autoencoder.architecture import check_pod_size
+from dpc_ros.autoencoder.kinds import check_kind
 from dpc_ros.resources import find_resource
 
+OPTIMIZERS = ('adam', 'adamw')
 _WARM_UP = 0.3  # fraction of a one-cycle schedule in which the learning rate rises
 _FIRST_DIVISOR = 25.0
 _LAST_DIVISOR = 1e4
-_WHOLE_NUMBERS = {'latent_size': 1, 'epochs': 1, 'batch_size': 1, 'step_epochs': 1, 'seed': 0}
+_WHOLE_NUMBERS = {
+    'latent_size': 1,
+    'channels': 1,
+    'convolutions': 2,
+    'node_features': 1,
+    'epochs': 1,
+    'batch_size': 1,
+    'step_epochs': 1,
+    'extra_simulations': 0,
+    'seed': 0,
+}
 
 
 @dataclass(frozen=True)
@@ -27,14 +41,23 @@ class Recipe:
     Attributes:
         name: of the checkpoint that comes out.
         network: name or path of the body.
+        kind: of the autoencoder: `flat`, `graph`, `pod`, or one that a package registers.
         latent_size: m.
-        hidden_sizes: units of the encoder's hidden layers, mirrored by the decoder.
+        hidden_sizes: units of a flat encoder's hidden layers, mirrored by the decoder.
+        channels: of a node between the convolutions of a graph autoencoder.
+        convolutions: of a graph encoder, and as many of its decoder.
+        node_features: of a node between node-wise and graph-level projection.
         activation: `elu` (paper) or `silu`.
         skip: centre and scale the data and add linear POD maps around both networks.
+        pod_size: how many POD coordinates flat networks read and write, zero for all n.
+        options: keyword arguments of a registered autoencoder's class.
+        extra_simulations: how many simulations under random gravity train beside the paper's.
         epochs: passes over the training configurations.
         batch_size: configurations per step of Adam.
-        learning_rate: of Adam; the peak of a one-cycle schedule.
-        weight_decay: λ of the L2 regularisation.
+        optimizer: `adam`, where the weight decay is part of the gradient (L2 regularisation), or
+            `adamw`, where it shrinks the weights themselves.
+        learning_rate: of the optimizer; the peak of a one-cycle schedule.
+        weight_decay: λ.
         schedule: `step` multiplies the rate by `step_factor` every `step_epochs`; `one_cycle`
             rises to the peak over three tenths of the steps and falls to nearly zero (cosine).
         step_epochs: epochs between two reductions.
@@ -47,12 +70,20 @@ class Recipe:
 
     name: str
     network: str
+    kind: str = 'flat'
     latent_size: int = 5
     hidden_sizes: tuple[int, ...] = (300, 200, 100)
+    channels: int = 50
+    convolutions: int = 4
+    node_features: int = 10
     activation: str = 'elu'
     skip: bool = False
+    pod_size: int = 0
+    options: dict[str, Any] = field(default_factory=dict)
+    extra_simulations: int = 0
     epochs: int = 500
     batch_size: int = 256
+    optimizer: str = 'adam'
     learning_rate: float = 1e-3
     weight_decay: float = 1e-5
     schedule: str = 'step'
@@ -65,6 +96,7 @@ class Recipe:
             raise ValueError(f'name: expected one word that can name a file, got {self.name!r}')
         if not isinstance(self.network, str):
             raise ValueError(f'network: expected a name or a path, got {self.network!r}')
+        check_kind(self.kind)
         sizes = self.hidden_sizes
         if not isinstance(sizes, list | tuple) or not all(_is_whole(s, 1) for s in sizes):
             raise ValueError(f'hidden_sizes: expected whole numbers ≥ 1, got {sizes!r}')
@@ -85,6 +117,13 @@ class Recipe:
                 raise ValueError(f'{key}: expected a number (YAML: 1.0e-3), got {value!r}')
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f'{key}: expected a finite number ≥ 0, got {value}')
+        check_pod_size(self.pod_size, self.skip, self.latent_size, math.inf)
+        if not isinstance(self.options, dict) or not _is_json(self.options):
+            raise ValueError(
+                f'options: expected names and values that JSON can hold, got {self.options!r}'
+            )
+        if self.optimizer not in OPTIMIZERS:
+            raise ValueError(f'optimizer {self.optimizer!r}: expected one of {OPTIMIZERS}')
         if self.schedule not in SCHEDULES:
             raise ValueError(f'schedule {self.schedule!r}: expected one of {sorted(SCHEDULES)}')
 
@@ -112,7 +151,7 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         raise ValueError(f'{path}: expected YAML, but {one_line}') from error
     if not isinstance(content, dict):
         raise ValueError(f'{path}: expected keys and values, got a {type(content).__name__}')
-    known = {field.name for field in fields(Recipe)}
+    known = {each.name for each in fields(Recipe)}
     unknown = sorted(str(key) for key in content.keys() - known)
     if unknown:
         raise ValueError(f'{path}: unknown keys {unknown}, a recipe has {sorted(known)}')
@@ -120,6 +159,13 @@ def load_recipe(name_or_path: str | Path) -> Recipe:
         return Recipe(**content)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{path}: {error}') from error
+
+
+def _is_json(value: Any) -> bool:
+    try:
+        return json.loads(json.dumps(value, allow_nan=False)) == value
+    except (RecursionError, TypeError, ValueError):
+        return False
 
 
 def _is_whole(value: Any, least: int) -> bool:

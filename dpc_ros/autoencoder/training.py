@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,36 +13,54 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from tqdm import tqdm
 
-from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.base import Autoencoder
-from dpc_ros.autoencoder.flat_module import FlatModule
+from dpc_ros.autoencoder.module import AutoencoderModule
+from dpc_ros.autoencoder.modules import untrained_module
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.data import Dataset
 from dpc_ros.files import replacing
+from dpc_ros.network import MassSpringNetwork
 
 SAVE_INTERVAL = 10  # epochs between two states on disk
 _EPOCHS_PER_SEED = 1_000_000  # so that no two epochs of two seeds share their batches
 _SHOWN = 3  # tensors named in an error
 
 
+def _adam(parameters: Iterable[torch.nn.Parameter], recipe: Recipe) -> torch.optim.Optimizer:
+    return torch.optim.Adam(parameters, weight_decay=recipe.weight_decay)
+
+
+def _adamw(parameters: Iterable[torch.nn.Parameter], recipe: Recipe) -> torch.optim.Optimizer:
+    # Gradients of an error of 1e-6 m² are small: not to be drowned in the default of 1e-8.
+    return torch.optim.AdamW(parameters, weight_decay=recipe.weight_decay, eps=1e-12)
+
+
+_OPTIMIZERS = {'adam': _adam, 'adamw': _adamw}
+
+
 def train(
     recipe: Recipe,
+    network: MassSpringNetwork,
     dataset: Dataset,
     state_path: str | Path | None = None,
     progress: bool = False,
-) -> FlatModule:
-    """Train a flat autoencoder on the reconstruction error (paper, section II and A.2).
+    on_epoch: Callable[[int, float], None] | None = None,
+) -> AutoencoderModule:
+    """Train an autoencoder on the reconstruction error (paper, section II and A.2).
 
     The loss is the mean square error of D(E(q)) against q. Initial weights follow from the seed,
     the batches of an epoch from seed and epoch, so that a resumed training repeats an unbroken one.
 
     Args:
         recipe: what to train.
+        network: the body.
         dataset: configurations; only training and validation are looked at.
         state_path: file of the state of the training: read where it exists, written every
             `SAVE_INTERVAL` epochs and when the training ends or is cut off, by Ctrl-C for example,
             always as it was after a whole epoch. It is left for the caller to remove.
         progress: show a progress bar with training and validation error.
+        on_epoch: called after each epoch with its number and the best validation error so far;
+            what it raises ends the training, whose state is kept.
 
     Returns:
         the module with the weights of the best validation epoch and normalised latents.
@@ -50,17 +69,27 @@ def train(
         ValueError: the state on disk is damaged, of another recipe or on other data, or no epoch
             had a finite validation error.
     """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(recipe.seed)
-        module = FlatModule(_architecture(recipe, dataset))
-    if recipe.skip:
-        module.fit_normalisation(dataset.train)
-    train_set = torch.from_numpy(dataset.train).float()
-    validation_set = torch.from_numpy(dataset.validation).float()
-    optimizer = torch.optim.Adam(module.parameters(), weight_decay=recipe.weight_decay)
-    steps_per_epoch = -(-len(train_set) // recipe.batch_size)
-    state = _TrainingState(recipe, dataset, module, optimizer, state_path)
+    module = untrained_module(recipe, network)
+    module.fit_normalisation(dataset.train)
+    if any(True for _ in module.parameters()):
+        _descend(module, recipe, dataset, state_path, progress, on_epoch)
+    module.normalise_latents(dataset.train)
+    return module
 
+
+def _descend(
+    module: AutoencoderModule,
+    recipe: Recipe,
+    dataset: Dataset,
+    state_path: str | Path | None,
+    progress: bool,
+    on_epoch: Callable[[int, float], None] | None,
+) -> None:
+    """Lower the reconstruction error by Adam and leave the best weights in the module."""
+    train_set, validation_set = _Frames(module, dataset.train), _Frames(module, dataset.validation)
+    optimizer = _OPTIMIZERS[recipe.optimizer](module.parameters(), recipe)
+    steps_per_epoch = -(-len(train_set.features) // recipe.batch_size)
+    state = _TrainingState(recipe, dataset, module, optimizer, state_path)
     bar = tqdm(
         range(state.epoch, recipe.epochs),
         initial=state.epoch,
@@ -72,7 +101,7 @@ def train(
     try:
         for epoch in bar:
             generator = torch.Generator().manual_seed(recipe.seed * _EPOCHS_PER_SEED + epoch)
-            order = torch.randperm(len(train_set), generator=generator)
+            order = torch.randperm(len(train_set.features), generator=generator)
             module.train()
             total = 0.0
             for k, batch in enumerate(order.split(recipe.batch_size)):
@@ -80,28 +109,50 @@ def train(
                     group['lr'] = recipe.learning_rate_at(
                         epoch * steps_per_epoch + k, steps_per_epoch
                     )
-                q = train_set[batch]
-                loss = torch.nn.functional.mse_loss(module(q), q)
+                loss = train_set.mse(train_set.features[batch])
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
                 total += loss.item() * len(batch)
             module.eval()
-            with torch.no_grad():
-                validation = torch.nn.functional.mse_loss(
-                    module(validation_set), validation_set
-                ).item()
+            validation = validation_set.total_mse(recipe.batch_size)
             state.finish_epoch(epoch, validation)
             bar.set_postfix(
-                train=f'{total / len(train_set):.2e}',
+                train=f'{total / len(order) + train_set.lost:.2e}',
                 validation=f'{validation:.2e}',
                 best=f'{state.best_validation:.2e}',
             )
+            if on_epoch is not None:
+                on_epoch(epoch, state.best_validation)
     finally:
         state.save()
     state.restore_best()
-    module.normalise_latents(dataset.train)
-    return module
+
+
+class _Frames:
+    """Configurations as the networks see them, in float32, and the error made on them."""
+
+    def __init__(
+        self, module: AutoencoderModule, configurations: Float[np.ndarray, 'frames n']
+    ) -> None:
+        exact = torch.from_numpy(configurations)
+        self._module = module
+        self._unit = float(module.configuration_scale) ** 2 / exact.shape[1]  # m² a coordinate
+        self.features = module.features(exact).float()
+        self.lost = module.lost_by_features(exact)
+
+    def mse(self, features: torch.Tensor) -> torch.Tensor:
+        """Return the mean square error of D(E(q)) on a batch [m²], without what features lose."""
+        error = self._module.reconstruct(features) - features
+        return (error**2).sum() * (self._unit / len(features))
+
+    @torch.no_grad()
+    def total_mse(self, batch_size: int) -> float:
+        """Return the mean square error over all frames [m²]."""
+        total = sum(
+            self.mse(batch).item() * len(batch) for batch in self.features.split(batch_size)
+        )
+        return total / len(self.features) + self.lost
 
 
 def reconstruction_mse(
@@ -110,16 +161,6 @@ def reconstruction_mse(
     """Return the mean of (D(E(q)) − q)² over coordinates and frames [m²]."""
     difference = autoencoder.decode(autoencoder.encode(configurations)) - configurations
     return float(np.mean(difference**2))
-
-
-def _architecture(recipe: Recipe, dataset: Dataset) -> FlatArchitecture:
-    return FlatArchitecture(
-        configuration_size=dataset.train.shape[1],
-        latent_size=recipe.latent_size,
-        hidden_sizes=recipe.hidden_sizes,
-        activation=recipe.activation,
-        skip=recipe.skip,
-    )
 
 
 class _TrainingState:
@@ -133,8 +174,8 @@ class _TrainingState:
         self,
         recipe: Recipe,
         dataset: Dataset,
-        module: FlatModule,
-        optimizer: torch.optim.Adam,
+        module: AutoencoderModule,
+        optimizer: torch.optim.Optimizer,
         path: str | Path | None,
     ) -> None:
         self.epoch = 0
@@ -211,7 +252,7 @@ class _TrainingState:
                 'finish that one, or remove the file'
             )
         shapes = {key: tuple(value.shape) for key, value in tensors.items()}
-        wrong = sorted({key for key, _ in shapes.items() ^ self._shapes().items()})
+        wrong = sorted({key for key, _ in shapes.items() ^ self._shapes(shapes.keys()).items()})
         if wrong:
             raise self._damaged(
                 f'these tensors are missing, unknown or misshapen: {wrong[:_SHOWN]}'
@@ -229,13 +270,16 @@ class _TrainingState:
         state = self._optimizer.state_dict()
         self._optimizer.load_state_dict({**state, 'state': moments})
 
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
+    def _shapes(self, stored: Collection[str]) -> dict[str, tuple[int, ...]]:
+        """Return what has to be stored; a parameter that nothing moves has no moments."""
         shapes: dict[str, tuple[int, ...]] = {}
         for key, value in self._module.state_dict().items():
             shapes[f'module.{key}'] = shapes[f'best.{key}'] = tuple(value.shape)
         for i, parameter in enumerate(self._module.parameters()):
-            shapes[f'adam.{i}.step'] = ()
-            shapes[f'adam.{i}.exp_avg'] = shapes[f'adam.{i}.exp_avg_sq'] = tuple(parameter.shape)
+            size = tuple(parameter.shape)
+            moments = {'step': (), 'exp_avg': size, 'exp_avg_sq': size}
+            if any(f'adam.{i}.{key}' in stored for key in moments):
+                shapes |= {f'adam.{i}.{key}': shape for key, shape in moments.items()}
         return shapes
 
     def _damaged(self, reason: str) -> ValueError:

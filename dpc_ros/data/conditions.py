@@ -6,10 +6,13 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from dpc_ros.network import Gravity
 from dpc_ros.resources import config_path
 
 SPLITS = ('train', 'validation', 'test', 'outside')
+_FIRST_RANDOM = 1001  # number of the first random simulation
 STARTS = ('rest', 'continue', 'previous_end')
 
 
@@ -61,6 +64,27 @@ def test_conditions() -> list[Condition]:
 
 
 test_conditions.__test__ = False  # type: ignore[attr-defined]  # pytest takes it for a test
+
+
+def random_conditions(training: int, validation: int, seed: int = 0) -> list[Condition]:
+    """Return simulations under gravities drawn from the range that the paper tests in.
+
+    Uniform in 3 to 17 m/s² and in −3π/4 to −π/4 (section A.1). Every fourth starts from rest, the
+    others from the last position of the one before. None is one of the paper's.
+
+    Args:
+        training: how many train.
+        validation: how many validate.
+        seed: of the draw.
+    """
+    draw = np.random.default_rng(seed)
+    conditions = []
+    for k in range(training + validation):
+        gravity = Gravity(float(draw.uniform(3.0, 17.0)), float(draw.uniform(-0.75, -0.25) * np.pi))
+        split = 'train' if k < training else 'validation'
+        start = 'previous_end' if k % 4 else 'rest'
+        conditions.append(Condition(_FIRST_RANDOM + k, split, gravity, start))
+    return conditions
 
 
 def _condition(row: dict[str, str]) -> Condition:

@@ -14,7 +14,12 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from dpc_ros import __version__
-from dpc_ros.data.conditions import Condition, test_conditions, training_conditions
+from dpc_ros.data.conditions import (
+    Condition,
+    random_conditions,
+    test_conditions,
+    training_conditions,
+)
 from dpc_ros.data.simulations import DURATION, STEP, simulate_conditions
 from dpc_ros.data.thinning import THINNING_DISTANCE, thin
 from dpc_ros.files import replacing
@@ -56,6 +61,17 @@ _ARRAYS = (
     'validation_simulation',
     'test_simulation',
 )
+
+
+def extended_conditions(extra_simulations: int) -> list[Condition]:
+    """Return the paper's training and validation simulations and extra ones under random gravity.
+
+    For every eight extra simulations that train there is one more that validates.
+    """
+    if not extra_simulations:
+        return training_conditions()
+    extra = random_conditions(extra_simulations, -(-extra_simulations // 8))
+    return [*training_conditions(), *extra]
 
 
 def make_dataset(
@@ -121,9 +137,9 @@ def make_dataset(
 
 
 def save_dataset(dataset: Dataset, path: str | Path) -> None:
-    """Write a dataset as one compressed `.npz` file; nothing is left half-written."""
+    """Write a dataset as one `.npz` file; nothing is left half-written."""
     with replacing(path) as partial, partial.open('wb') as file:
-        np.savez_compressed(
+        np.savez(
             file,
             provenance=json.dumps(dataset.provenance),
             **{name: getattr(dataset, name) for name in _ARRAYS},

@@ -23,6 +23,7 @@ class NetworkArrays(NamedTuple):
     background_stiffness: float  # k_s [N/m]
     mobile_mass: np.ndarray  # (mobile,) [kg]
     fixed_position: np.ndarray  # (fixed, 2) [m]
+    axial: bool  # dampers resist only the change of their spring's length
 
 
 @njit(cache=True)
@@ -146,15 +147,17 @@ def potential_hessian(network, configuration):
 
 
 @njit(cache=True)
-def damping_force(network, velocity):
-    """C q̇, (n,) [N], with C = Bᵀ diag(d) B: isotropic on the relative velocity."""
+def damping_force(network, configuration, velocity):
+    """C(q) q̇, (n,) [N]."""
+    position = place(network, configuration)
     mobile = network.mobile_mass.shape[0]
     force = np.zeros(2 * mobile)
     for j in range(network.first.shape[0]):
         a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
         wx, wy = _relative_velocity(velocity, mobile, a, b)
-        fx = network.damping[j] * wx
-        fy = network.damping[j] * wy
+        fx, fy = _damper_force(network, j, dx, dy, wx, wy)
         if a < mobile:
             force[2 * a] += fx
             force[2 * a + 1] += fy
@@ -177,27 +180,50 @@ def _relative_velocity(velocity, mobile, a, b):
     return wx, wy
 
 
+@njit(cache=True, inline='always')
+def _damper_force(network, j, dx, dy, wx, wy):
+    """Return d w, or d n nᵀw of an axial damper; a spring of no length has no direction n."""
+    fx = network.damping[j] * wx
+    fy = network.damping[j] * wy
+    if network.axial:
+        square = dx * dx + dy * dy
+        along = 0.0
+        if square > 0.0:
+            along = (dx * fx + dy * fy) / square
+        fx = along * dx
+        fy = along * dy
+    return fx, fy
+
+
 @njit(cache=True)
-def damping_matrix(network):
-    """C = Bᵀ diag(d) B, (n, n) dense [N s/m]."""
+def damping_matrix(network, configuration):
+    """C(q), (n, n) dense [N s/m]."""
+    position = place(network, configuration)
     mobile = network.mobile_mass.shape[0]
     matrix = np.zeros((2 * mobile, 2 * mobile))
+    block = np.empty((2, 2))
     for j in range(network.first.shape[0]):
         a, b = network.first[j], network.second[j]
+        dx = position[a, 0] - position[b, 0]
+        dy = position[a, 1] - position[b, 1]
+        block[0, 0], block[0, 1] = _damper_force(network, j, dx, dy, 1.0, 0.0)
+        block[1, 0], block[1, 1] = _damper_force(network, j, dx, dy, 0.0, 1.0)
+        block[1, 0] = block[0, 1]  # equal but for rounding
         for r in range(2):
-            if a < mobile:
-                matrix[2 * a + r, 2 * a + r] += network.damping[j]
-            if b < mobile:
-                matrix[2 * b + r, 2 * b + r] += network.damping[j]
-            if a < mobile and b < mobile:
-                matrix[2 * a + r, 2 * b + r] -= network.damping[j]
-                matrix[2 * b + r, 2 * a + r] -= network.damping[j]
+            for c in range(2):
+                if a < mobile:
+                    matrix[2 * a + r, 2 * a + c] += block[r, c]
+                if b < mobile:
+                    matrix[2 * b + r, 2 * b + c] += block[r, c]
+                if a < mobile and b < mobile:
+                    matrix[2 * a + r, 2 * b + c] -= block[r, c]
+                    matrix[2 * b + r, 2 * a + c] -= block[r, c]
     return matrix
 
 
 @njit(cache=True)
 def acceleration(network, gravity, configuration, velocity, force):
-    """q̈ = M⁻¹(−∇V(q) − C q̇ + f), (n,) [m/s²], with f the external force (n,) [N]."""
+    """q̈ = M⁻¹(−∇V(q) − C(q) q̇ + f), (n,) [m/s²], with f the external force (n,) [N]."""
     position = place(network, configuration)
     mobile = network.mobile_mass.shape[0]
     total = force.copy()
@@ -207,8 +233,9 @@ def acceleration(network, gravity, configuration, velocity, force):
         dy = position[a, 1] - position[b, 1]
         fx, fy = _spring_gradient(network, j, dx, dy)
         wx, wy = _relative_velocity(velocity, mobile, a, b)
-        fx += network.damping[j] * wx
-        fy += network.damping[j] * wy
+        ex, ey = _damper_force(network, j, dx, dy, wx, wy)
+        fx += ex
+        fy += ey
         if a < mobile:
             total[2 * a] -= fx
             total[2 * a + 1] -= fy

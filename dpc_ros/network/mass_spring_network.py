@@ -19,6 +19,7 @@ from dpc_ros.resources import find_resource
 
 _DIGEST_LENGTH = 12
 _WHOLE_NUMBERS = ('fixed', 'springs')
+DAMPING_KINDS = ('isotropic', 'axial')
 
 
 class NetworkError(ValueError):
@@ -44,6 +45,8 @@ class MassSpringNetwork:
         background_stiffness: k_s, the small stiffness of ½k_s|d − c·d⁰|² on each spring [N/m], ≥ 0.
         background_rest_fraction: c, the fraction of the rest vector d⁰ at which that term is zero.
         description: free text.
+        damping_kind: what the dampers resist: `isotropic`, all relative motion of their two
+            masses, or `axial`, only the part of it along the spring.
 
     Raises:
         NetworkError: a value has the wrong shape, sign or is not finite, a spring joins masses
@@ -61,6 +64,7 @@ class MassSpringNetwork:
     background_stiffness: float = 0.0
     background_rest_fraction: float = 0.0
     description: str = ''
+    damping_kind: str = 'isotropic'
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -87,6 +91,14 @@ class MassSpringNetwork:
         return self.rest_position[self.mobile].ravel()
 
     @cached_property
+    def mobile_edges(self) -> Int[np.ndarray, 'edges 2']:
+        """Pairs of mobile masses that a spring joins, by their places among the mobile ones."""
+        place = np.full(len(self.mass), -1)
+        place[self.mobile] = np.arange(len(self.mobile))
+        edges = place[self.springs]
+        return edges[(edges >= 0).all(axis=1)]
+
+    @cached_property
     def coordinate_names(self) -> list[str]:
         """Names of the coordinates of q, from `mass_007/x` and `mass_007/y` on."""
         return [f'mass_{i:03d}/{axis}' for i in self.mobile for axis in 'xy']
@@ -98,6 +110,8 @@ class MassSpringNetwork:
         for field in fields(self):
             if field.name in ('name', 'description'):
                 continue
+            if field.name == 'damping_kind' and self.damping_kind == 'isotropic':
+                continue  # as if it stood in no file: older ones do not have it
             value = np.asarray(getattr(self, field.name))
             sha.update(f'{field.name}{value.shape}'.encode())
             sha.update(np.ascontiguousarray(value).astype(value.dtype.newbyteorder('<')).tobytes())
@@ -159,7 +173,7 @@ def save_network(network: MassSpringNetwork, path: str | Path) -> None:
 
 def _from_json(content: dict[str, Any]) -> MassSpringNetwork:
     known = {field.name for field in fields(MassSpringNetwork)}
-    optional = {'background_stiffness', 'background_rest_fraction', 'description'}
+    optional = {'background_stiffness', 'background_rest_fraction', 'description', 'damping_kind'}
     missing = sorted(known - optional - content.keys())
     if missing:
         raise NetworkError(f'expected the keys {missing}, which are missing')
@@ -182,6 +196,7 @@ def _from_json(content: dict[str, Any]) -> MassSpringNetwork:
         damping=_array(content['damping'], 'damping', float),
         background_stiffness=_number(content, 'background_stiffness'),
         background_rest_fraction=_number(content, 'background_rest_fraction'),
+        damping_kind=content.get('damping_kind', 'isotropic'),
     )
 
 
@@ -226,6 +241,10 @@ def _check(network: MassSpringNetwork) -> None:
     if not isinstance(network.name, str) or not network.name or not network.name.isidentifier():
         raise NetworkError(
             f'name: expected one word of letters, digits and underscores, got {network.name!r}'
+        )
+    if network.damping_kind not in DAMPING_KINDS:
+        raise NetworkError(
+            f'damping_kind: expected one of {DAMPING_KINDS}, got {network.damping_kind!r}'
         )
     masses = len(network.rest_position)
     _check_shapes(network, masses)

@@ -1,4 +1,4 @@
-"""Mechanics of a network: energies, forces, damping, input field of M q̈ = −∇V − C q̇ + G u."""
+"""Mechanics of a network: energies, forces, damping, input field of M q̈ = −∇V − C(q) q̇ + G u."""
 
 from __future__ import annotations
 
@@ -46,9 +46,10 @@ NO_GRAVITY = Gravity()
 class Mechanics:
     """Forces and energies of a network in a field of gravity, compiled.
 
-    The full-order system is M q̈ = −∇V(q) − C q̇ + G u + f_ext with
+    The full-order system is M q̈ = −∇V(q) − C(q) q̇ + G u + f_ext with
     V(q) = Σ ½k(|d| − l)² + ½k_s Σ |d − c d⁰|² − Σ m g·x (paper, section A.1, with the background
-    term of its data) and C = Bᵀ diag(d) B.
+    term of its data). C is Bᵀ diag(d) B where damping is isotropic (the paper's data) and
+    Σ d n nᵀ along the springs where it is axial (the paper's text).
 
     Args:
         network: the body.
@@ -74,6 +75,7 @@ class Mechanics:
             background_stiffness=float(network.background_stiffness),
             mobile_mass=network.mass[network.mobile],
             fixed_position=network.rest_position[network.fixed],
+            axial=network.damping_kind == 'axial',
         )
         self.mass_diagonal: Float[np.ndarray, ' n'] = np.repeat(self.arrays.mobile_mass, 2)
 
@@ -112,13 +114,15 @@ class Mechanics:
         """Return ∇²V(q) [N/m], dense."""
         return kernels.potential_hessian(self.arrays, configuration)
 
-    def damping_force(self, velocity: Float[np.ndarray, ' n']) -> Float[np.ndarray, ' n']:
-        """Return C q̇ [N]."""
-        return kernels.damping_force(self.arrays, velocity)
+    def damping_force(
+        self, configuration: Float[np.ndarray, ' n'], velocity: Float[np.ndarray, ' n']
+    ) -> Float[np.ndarray, ' n']:
+        """Return C(q) q̇ [N]."""
+        return kernels.damping_force(self.arrays, configuration, velocity)
 
-    def damping_matrix(self) -> Float[np.ndarray, 'n n']:
-        """Return C [N·s/m], dense."""
-        return kernels.damping_matrix(self.arrays)
+    def damping_matrix(self, configuration: Float[np.ndarray, ' n']) -> Float[np.ndarray, 'n n']:
+        """Return C(q) [N·s/m], dense; the same for every q where damping is isotropic."""
+        return kernels.damping_matrix(self.arrays, configuration)
 
     def input_field(self, mass: int) -> Float[np.ndarray, 'n 2']:
         """Return G, the matrix that puts a planar force on one mobile mass.
@@ -137,7 +141,7 @@ class Mechanics:
         velocity: Float[np.ndarray, ' n'],
         force: Float[np.ndarray, ' n'],
     ) -> Float[np.ndarray, ' n']:
-        """Return q̈ = M⁻¹(−∇V − C q̇ + f) [m/s²] under an external force f [N]."""
+        """Return q̈ = M⁻¹(−∇V − C(q) q̇ + f) [m/s²] under an external force f [N]."""
         return kernels.acceleration(
             self.arrays, self.gravity_vector, configuration, velocity, force
         )

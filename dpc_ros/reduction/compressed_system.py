@@ -32,7 +32,9 @@ class CompressedSystem:
         self.autoencoder = autoencoder
         self.actuated_mass = actuated_mass
         self.full_input_field = mechanics.input_field(actuated_mass)
-        self._damping_matrix = mechanics.damping_matrix()
+        isotropic = mechanics.network.damping_kind == 'isotropic'
+        rest = mechanics.network.rest_configuration
+        self._constant_damping = mechanics.damping_matrix(rest) if isotropic else None
 
     @property
     def latent_size(self) -> int:
@@ -45,9 +47,12 @@ class CompressedSystem:
         return jacobian.T @ (self.mechanics.mass_diagonal[:, None] * jacobian)
 
     def damping_matrix(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'm m']:
-        """Return Δ = JᵀCJ (the paper prints JᵀC)."""
+        """Return Δ = JᵀC(D(ξ))J (the paper prints JᵀC)."""
         jacobian = self.autoencoder.decoder_jacobian(latent)
-        return jacobian.T @ self._damping_matrix @ jacobian
+        damping = self._constant_damping
+        if damping is None:
+            damping = self.mechanics.damping_matrix(self.autoencoder.decode(latent))
+        return jacobian.T @ damping @ jacobian
 
     def input_field(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'm 2']:
         """Return Γ = JᵀG."""

@@ -7,7 +7,8 @@ import torch
 from dpc_ros.autoencoder import FlatAutoencoder
 from dpc_ros.autoencoder.architecture import FlatArchitecture
 from dpc_ros.autoencoder.flat_module import FlatModule
-from dpc_ros.autoencoder.perceptron import Layer, Perceptron
+from dpc_ros.autoencoder.layers import DenseLayer
+from dpc_ros.autoencoder.perceptron import Perceptron
 from dpc_ros.network import Integrator, simulate
 
 # torch compiles its own rules of forward mode when they are first needed.
@@ -136,14 +137,14 @@ def test_latent_velocity_is_the_time_derivative_of_the_latent(make_module, small
 
 
 def test_encoder_and_decoder_have_to_fit():
-    encoder = Perceptron([Layer(np.zeros((2, 6)), np.zeros(2))], 'elu')
-    decoder = Perceptron([Layer(np.zeros((6, 3)), np.zeros(6))], 'elu')
+    encoder = Perceptron([DenseLayer(np.zeros((2, 6)), np.zeros(2))], 'elu')
+    decoder = Perceptron([DenseLayer(np.zeros((6, 3)), np.zeros(6))], 'elu')
     with pytest.raises(ValueError, match='encoder maps 6 to 2, but decoder maps 3 to 6'):
         FlatAutoencoder(encoder, decoder)
 
 
 def test_layers_have_to_follow_on_one_another():
-    layers = [Layer(np.zeros((4, 6)), np.zeros(4)), Layer(np.zeros((2, 5)), np.zeros(2))]
+    layers = [DenseLayer(np.zeros((4, 6)), np.zeros(4)), DenseLayer(np.zeros((2, 5)), np.zeros(2))]
     with pytest.raises(ValueError, match='4 outputs is followed by one of 5 inputs'):
         Perceptron(layers, 'elu')
 

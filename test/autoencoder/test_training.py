@@ -51,7 +51,7 @@ def saved_every_two_epochs(monkeypatch):
     monkeypatch.setattr(training, 'SAVE_INTERVAL', 2)
 
 
-def cut_off(monkeypatch, recipe, dataset, path, epoch):
+def cut_off(monkeypatch, recipe, small_network, dataset, path, epoch):
     """Train until the second batch of an epoch, and be killed there."""
     steps_per_epoch = -(-len(dataset.train) // recipe.batch_size)
     assert steps_per_epoch > 1
@@ -65,7 +65,7 @@ def cut_off(monkeypatch, recipe, dataset, path, epoch):
     with monkeypatch.context() as patch:
         patch.setattr(Recipe, 'learning_rate_at', rate_or_death)
         with pytest.raises(KeyboardInterrupt):
-            train(recipe, dataset, path)
+            train(recipe, small_network, dataset, path)
 
 
 def epoch_of(path):
@@ -81,24 +81,24 @@ def assert_same_bits(first, second):
 
 
 @pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
-def test_training_lowers_the_error(recipe, dataset):
-    short = train(replace(recipe, epochs=1, learning_rate=0.0), dataset).export()
-    long = train(replace(recipe, epochs=40), dataset).export()
+def test_training_lowers_the_error(recipe, dataset, small_network):
+    short = train(replace(recipe, epochs=1, learning_rate=0.0), small_network, dataset).export()
+    long = train(replace(recipe, epochs=40), small_network, dataset).export()
     before = reconstruction_mse(short, dataset.validation)
     assert reconstruction_mse(long, dataset.validation) < 0.9 * before
 
 
 @pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
-def test_trained_latents_have_unit_deviation(recipe, dataset):
-    latent = train(recipe, dataset).export().encode(dataset.train)
+def test_trained_latents_have_unit_deviation(recipe, dataset, small_network):
+    latent = train(recipe, small_network, dataset).export().encode(dataset.train)
     np.testing.assert_allclose(latent.mean(axis=0), 0, atol=1e-8)
     np.testing.assert_allclose(latent.std(axis=0), 1, atol=1e-8)
 
 
-def test_training_repeats_itself_and_follows_its_seed(dataset):
-    first = train(RECIPE, dataset)
-    assert_same_bits(first, train(RECIPE, dataset))
-    other = train(replace(RECIPE, seed=1), dataset)
+def test_training_repeats_itself_and_follows_its_seed(dataset, small_network):
+    first = train(RECIPE, small_network, dataset)
+    assert_same_bits(first, train(RECIPE, small_network, dataset))
+    other = train(replace(RECIPE, seed=1), small_network, dataset)
     assert not np.array_equal(
         first.tensors()['encoder.0.weight'], other.tensors()['encoder.0.weight']
     )
@@ -108,30 +108,38 @@ def test_training_repeats_itself_and_follows_its_seed(dataset):
 @pytest.mark.parametrize('epoch', [1, 2, 5])
 @pytest.mark.usefixtures('saved_every_two_epochs')
 def test_a_training_cut_off_ends_like_an_unbroken_one(
-    monkeypatch, tmp_path, dataset, recipe, epoch
+    monkeypatch, tmp_path, dataset, recipe, epoch, small_network
 ):
     path = tmp_path / 'state.safetensors'
-    cut_off(monkeypatch, recipe, dataset, path, epoch)
+    cut_off(monkeypatch, recipe, small_network, dataset, path, epoch)
     assert epoch_of(path) == epoch
-    resumed = train(recipe, dataset, path)
-    assert_same_bits(resumed, train(recipe, dataset))
+    resumed = train(recipe, small_network, dataset, path)
+    assert_same_bits(resumed, train(recipe, small_network, dataset))
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_training_cut_off_in_its_first_epoch_leaves_nothing(monkeypatch, tmp_path, dataset):
-    cut_off(monkeypatch, RECIPE, dataset, tmp_path / 'state.safetensors', 0)
+def test_a_training_cut_off_in_its_first_epoch_leaves_nothing(
+    monkeypatch, tmp_path, dataset, small_network
+):
+    cut_off(monkeypatch, RECIPE, small_network, dataset, tmp_path / 'state.safetensors', 0)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_training_cut_off_again_at_once_keeps_its_state(monkeypatch, tmp_path, dataset):
+def test_a_training_cut_off_again_at_once_keeps_its_state(
+    monkeypatch, tmp_path, dataset, small_network
+):
     path = tmp_path / 'state.safetensors'
     for _ in range(2):
-        cut_off(monkeypatch, RECIPE, dataset, path, 3)
+        cut_off(monkeypatch, RECIPE, small_network, dataset, path, 3)
         assert epoch_of(path) == 3
-    assert_same_bits(train(RECIPE, dataset, path), train(RECIPE, dataset))
+    assert_same_bits(
+        train(RECIPE, small_network, dataset, path), train(RECIPE, small_network, dataset)
+    )
 
 
-def test_a_training_killed_after_a_save_ends_like_an_unbroken_one(monkeypatch, tmp_path, dataset):
+def test_a_training_killed_after_a_save_ends_like_an_unbroken_one(
+    monkeypatch, tmp_path, dataset, small_network
+):
     monkeypatch.setattr(training, 'SAVE_INTERVAL', 2)
     path, kept = tmp_path / 'state.safetensors', tmp_path / 'kept.safetensors'
     finish = training._TrainingState.finish_epoch
@@ -143,41 +151,45 @@ def test_a_training_killed_after_a_save_ends_like_an_unbroken_one(monkeypatch, t
 
     with monkeypatch.context() as patch:
         patch.setattr(training._TrainingState, 'finish_epoch', finish_and_keep)
-        unbroken = train(RECIPE, dataset, path)
+        unbroken = train(RECIPE, small_network, dataset, path)
     assert epoch_of(kept) == 4
-    assert_same_bits(train(RECIPE, dataset, kept), unbroken)
+    assert_same_bits(train(RECIPE, small_network, dataset, kept), unbroken)
 
 
-def test_a_finished_training_is_taken_up_at_its_end(tmp_path, dataset):
+def test_a_finished_training_is_taken_up_at_its_end(tmp_path, dataset, small_network):
     path = tmp_path / 'state.safetensors'
-    first = train(RECIPE, dataset, path)
+    first = train(RECIPE, small_network, dataset, path)
     assert epoch_of(path) == RECIPE.epochs
-    assert_same_bits(train(RECIPE, dataset, path), first)
+    assert_same_bits(train(RECIPE, small_network, dataset, path), first)
 
 
 @pytest.mark.usefixtures('saved_every_two_epochs')
-def test_a_training_cut_off_twice_ends_like_an_unbroken_one(monkeypatch, tmp_path, dataset):
+def test_a_training_cut_off_twice_ends_like_an_unbroken_one(
+    monkeypatch, tmp_path, dataset, small_network
+):
     path = tmp_path / 'state.safetensors'
     for epoch in (3, 7):
-        cut_off(monkeypatch, RECIPE, dataset, path, epoch)
-    assert_same_bits(train(RECIPE, dataset, path), train(RECIPE, dataset))
+        cut_off(monkeypatch, RECIPE, small_network, dataset, path, epoch)
+    assert_same_bits(
+        train(RECIPE, small_network, dataset, path), train(RECIPE, small_network, dataset)
+    )
 
 
 @pytest.mark.usefixtures('saved_every_two_epochs')
-def test_another_recipe_is_not_mixed_in(monkeypatch, tmp_path, dataset):
+def test_another_recipe_is_not_mixed_in(monkeypatch, tmp_path, dataset, small_network):
     path = tmp_path / 'state.safetensors'
-    cut_off(monkeypatch, RECIPE, dataset, path, 3)
+    cut_off(monkeypatch, RECIPE, small_network, dataset, path, 3)
     with pytest.raises(ValueError, match='unfinished training by another recipe'):
-        train(replace(RECIPE, learning_rate=0.01), dataset, path)
+        train(replace(RECIPE, learning_rate=0.01), small_network, dataset, path)
     assert path.exists()
 
 
 @pytest.mark.parametrize('content', [b'', b'something else', b'\x10\0\0\0\0\0\0\0{"x"'])
-def test_a_damaged_state_is_refused(tmp_path, dataset, content):
+def test_a_damaged_state_is_refused(tmp_path, dataset, content, small_network):
     path = tmp_path / 'state.safetensors'
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r'state\.safetensors.*remove the file'):
-        train(RECIPE, dataset, path)
+        train(RECIPE, small_network, dataset, path)
 
 
 @pytest.mark.parametrize(
@@ -198,39 +210,41 @@ def test_a_damaged_state_is_refused(tmp_path, dataset, content):
         (lambda t, m: m.clear(), 'NoneType'),
     ],
 )
-def test_a_state_of_other_contents_is_refused(monkeypatch, tmp_path, dataset, change, message):
+def test_a_state_of_other_contents_is_refused(
+    monkeypatch, tmp_path, dataset, change, message, small_network
+):
     path = tmp_path / 'state.safetensors'
-    cut_off(monkeypatch, RECIPE, dataset, path, 1)
+    cut_off(monkeypatch, RECIPE, small_network, dataset, path, 1)
     with safe_open(str(path), framework='pt') as file:
         tensors, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata()  # noqa: SIM118
     change(tensors, metadata)
     save_file({key: value.clone() for key, value in tensors.items()}, path, metadata or None)
     with pytest.raises(ValueError, match=rf'unfinished training, but .*{message}.*remove the file'):
-        train(RECIPE, dataset, path)
+        train(RECIPE, small_network, dataset, path)
 
 
-def test_the_best_validation_epoch_is_kept(dataset):
+def test_the_best_validation_epoch_is_kept(dataset, small_network):
     # A rate this high makes later epochs worse than some earlier one.
     recipe = replace(PLAIN, epochs=12, learning_rate=0.05)
-    error = reconstruction_mse(train(recipe, dataset).export(), dataset.validation)
+    error = reconstruction_mse(train(recipe, small_network, dataset).export(), dataset.validation)
     for epochs in (1, 4, 8):
-        shorter = train(replace(recipe, epochs=epochs), dataset).export()
+        shorter = train(replace(recipe, epochs=epochs), small_network, dataset).export()
         assert error <= reconstruction_mse(shorter, dataset.validation) * (1 + 1e-4)
 
 
-def test_a_training_that_gives_no_number_fails(dataset):
+def test_a_training_that_gives_no_number_fails(dataset, small_network):
     bad = replace(dataset, train=np.where(dataset.train > 0, np.nan, dataset.train))
     with pytest.raises(ValueError, match='not finite'):
-        train(PLAIN, bad)
+        train(PLAIN, small_network, bad)
 
 
-def test_weights_of_other_generators_are_left_alone(dataset):
+def test_weights_of_other_generators_are_left_alone(dataset, small_network):
     import torch
 
     torch.manual_seed(0)
     expected = torch.rand(3)
     torch.manual_seed(0)
-    train(replace(RECIPE, epochs=1), dataset)
+    train(replace(RECIPE, epochs=1), small_network, dataset)
     assert torch.equal(torch.rand(3), expected)
 
 

@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import simpson, solve_ivp
 
-from dpc_ros.network import INTEGRATORS, Gravity, Integrator, Mechanics, load_network, simulate
+from dpc_ros.network import (
+    DAMPING_KINDS,
+    INTEGRATORS,
+    Gravity,
+    Integrator,
+    Mechanics,
+    load_network,
+    simulate,
+)
 from dpc_ros.network.kernels import acceleration
 
 RELATIVE_TOLERANCE = 1e-9  # of the reference: its own error is far below the bounds tested here
@@ -86,6 +94,17 @@ def test_energy_falls_under_damping(mechanics, paper_2, random_state):
     )
     assert np.diff(energy).max() <= 1e-9 * energy[0]
     assert energy[-1] < energy[0]
+
+
+@pytest.mark.parametrize('kind', DAMPING_KINDS)
+def test_energy_lost_is_the_work_of_the_dampers(small_network, random_state, kind):
+    network = replace(small_network, damping_kind=kind)
+    mechanics = Mechanics(network, Gravity(3.0))
+    trajectory = run(mechanics, *random_state(6, network), 0.0005, 0.4)
+    states = list(zip(trajectory.configuration, trajectory.velocity, strict=True))
+    power = [velocity @ mechanics.damping_force(q, velocity) for q, velocity in states]
+    lost = mechanics.total_energy(*states[0]) - mechanics.total_energy(*states[-1])
+    assert lost == pytest.approx(simpson(power, dx=trajectory.step), rel=1e-5)
 
 
 @pytest.mark.parametrize(('method', 'order'), [('rk4', 4), ('symplectic_euler', 1)])

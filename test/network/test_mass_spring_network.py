@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpc_ros.network import NetworkError, load_network, save_network
+from dpc_ros.network import DAMPING_KINDS, NetworkError, load_network, save_network
+from dpc_ros.resources import config_path
 
 SYSTEMS = [f'paper_{i}' for i in range(1, 6)]
 ARRAYS = ['mass', 'fixed', 'rest_position', 'springs', 'stiffness', 'rest_length', 'damping']
@@ -74,13 +75,19 @@ def test_the_shipped_systems_are_the_papers(name):
     assert set(network.stiffness) == {50.0, 100.0}
 
 
+def test_the_shipped_checkpoints_know_their_network():
+    checkpoint = json.loads(config_path('checkpoints', 'paper_2_flat_m2.json').read_text())
+    assert load_network('paper_2').digest == checkpoint['network']['digest'] == '69bb9fad8f83'
+
+
 def test_the_shipped_systems_are_five_bodies():
     assert len({load_network(name).digest for name in SYSTEMS}) == 5
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_round_trip_keeps_every_value_and_the_digest(random_network, tmp_path_factory, seed):
-    network = random_network(seed)
+    kind = DAMPING_KINDS[seed % 2]
+    network = replace(random_network(seed), damping_kind=kind)
     path = tmp_path_factory.mktemp('network') / 'network.json'
     save_network(network, path)
     loaded = load_network(path)
@@ -117,9 +124,10 @@ def test_any_physical_value_changes_the_digest(small_network, key):
         {'background_stiffness': 0.3},
         {'background_rest_fraction': 0.3},
         {'fixed': np.array([0, 1])},
+        {'damping_kind': 'axial'},
     ],
 )
-def test_background_and_supports_change_the_digest(small_network, changes):
+def test_background_supports_and_kind_of_damping_change_the_digest(small_network, changes):
     assert replace(small_network, **changes).digest != small_network.digest
 
 
@@ -136,12 +144,19 @@ def test_words_do_not_change_the_digest(small_network):
 
 
 def test_optional_keys_have_defaults_and_one_mass_stands_for_all(content, load):
-    for key in ('background_stiffness', 'background_rest_fraction', 'description', 'units'):
+    for key in (
+        'background_stiffness',
+        'background_rest_fraction',
+        'damping_kind',
+        'description',
+        'units',
+    ):
         del content[key]
     content['mass'] = 0.25
     network = load(content)
     np.testing.assert_array_equal(network.mass, np.full(15, 0.25))
     assert (network.background_stiffness, network.background_rest_fraction) == (0.0, 0.0)
+    assert network.damping_kind == 'isotropic'
 
 
 def test_mobile_masses_and_coordinates_ascend(small_network):
@@ -203,6 +218,9 @@ def test_values_can_not_be_changed(small_network):
         (with_key('background_stiffness', True), r'background_stiffness: expected a number'),
         (with_key('background_stiffness', 10**400), r'background_stiffness: expected a'),
         (with_key('background_rest_fraction', math.nan), r'background_rest_fraction: .*finite'),
+        (with_key('damping_kind', 'radial'), r"damping_kind: .*'isotropic', 'axial'.*'radial'"),
+        (with_key('damping_kind', ['axial']), r'damping_kind: expected one of'),
+        (with_key('damping_kind', None), r'damping_kind: expected one of'),
         (with_key('name', ''), r'name: expected one word'),
         (with_key('name', 'two words'), r'name: expected one word'),
         (with_key('name', None), r'name: expected one word'),

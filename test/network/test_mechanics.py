@@ -8,10 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpc_ros.network import Gravity, Mechanics, NetworkError
+from dpc_ros.network import DAMPING_KINDS, Gravity, Mechanics, NetworkError
 
 SEEDS = st.integers(0, 2**32 - 1)
+KINDS = st.sampled_from(DAMPING_KINDS)
 GRAVITIES = st.builds(Gravity, st.floats(0.0, 20.0), st.floats(-math.pi, math.pi))
+
+
+def without_dampers_at_supports(network):
+    held = np.isin(network.springs, network.fixed).any(axis=1)
+    return replace(network, damping=np.where(held, 0.0, network.damping))
 
 
 @given(SEEDS, GRAVITIES)
@@ -50,33 +56,84 @@ def test_paper_body_has_consistent_derivatives(mechanics, random_state):
     )
 
 
-@given(SEEDS)
-def test_damping_matrix_is_symmetric_and_positive(random_network, random_state, seed):
-    network = random_network(seed)
+@given(SEEDS, KINDS)
+def test_damping_matrix_is_symmetric_and_takes_energy(random_network, random_state, seed, kind):
+    network = replace(random_network(seed), damping_kind=kind)
     mechanics = Mechanics(network)
-    matrix = mechanics.damping_matrix()
-    _, velocity = random_state(seed, network)
+    q, velocity = random_state(seed, network)
+    matrix, force = mechanics.damping_matrix(q), mechanics.damping_force(q, velocity)
     np.testing.assert_array_equal(matrix, matrix.T)
-    # Every spring is damped and every mass hangs on a fixed one: nothing moves for free.
-    assert np.linalg.eigvalsh(matrix).min() > 0
-    np.testing.assert_allclose(mechanics.damping_force(velocity), matrix @ velocity, atol=1e-12)
+    assert np.linalg.eigvalsh(matrix).min() > -1e-12
+    np.testing.assert_allclose(force, matrix @ velocity, atol=1e-12)
+    assert -velocity @ force <= 0
 
 
 @given(SEEDS)
-def test_damping_matrix_is_semidefinite_where_dampers_are_missing(random_network, seed):
+def test_isotropic_damping_resists_every_motion(random_network, seed):
+    network = random_network(seed)
+    # Every spring is damped and every mass hangs on a fixed one: nothing moves for free.
+    matrix = Mechanics(network).damping_matrix(network.rest_configuration)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+
+
+@given(SEEDS, KINDS)
+def test_damping_matrix_is_semidefinite_where_dampers_are_missing(random_network, seed, kind):
     network = random_network(seed)
     damping = network.damping * (np.random.default_rng(seed).random(len(network.damping)) < 0.5)
-    matrix = Mechanics(replace(network, damping=damping)).damping_matrix()
+    network = replace(network, damping=damping, damping_kind=kind)
+    matrix = Mechanics(network).damping_matrix(network.rest_configuration)
     assert np.linalg.eigvalsh(matrix).min() > -1e-12
 
 
-@given(SEEDS, GRAVITIES)
-def test_acceleration_follows_the_equation_of_motion(random_network, random_state, seed, gravity):
-    network = random_network(seed)
+@given(SEEDS, st.floats(-5, 5), st.tuples(*[st.floats(-5, 5)] * 4))
+def test_rigid_motion_gives_no_axial_damping(random_network, seed, turn, motion):
+    network = without_dampers_at_supports(replace(random_network(seed), damping_kind='axial'))
+    x, y, *shift = motion
+    arm = network.rest_configuration.reshape(-1, 2) - [x, y]
+    velocity = (turn * arm @ [[0, 1], [-1, 0]] + shift).ravel()
+    force = Mechanics(network).damping_force(network.rest_configuration, velocity)
+    np.testing.assert_allclose(force, 0, atol=1e-11)
+
+
+@given(SEEDS, st.floats(-5, 5))
+def test_stretching_gives_the_same_damping_of_both_kinds(random_network, seed, rate):
+    network = without_dampers_at_supports(random_network(seed))
+    q = network.rest_configuration
+    # Where all points move away from one, each spring's ends move apart along the spring.
+    isotropic, axial = (
+        Mechanics(replace(network, damping_kind=kind)).damping_force(q, rate * q)
+        for kind in DAMPING_KINDS
+    )
+    np.testing.assert_allclose(axial, isotropic, atol=1e-12)
+
+
+@given(SEEDS)
+def test_axial_damping_is_the_rate_of_the_springs_lengths(
+    random_network, random_state, central_difference, seed
+):
+    network = replace(random_network(seed), damping_kind='axial')
+    q, velocity = random_state(seed, network)
+
+    def lengths(configuration):
+        position = network.rest_position.copy()
+        position[network.mobile] = configuration.reshape(-1, 2)
+        first, second = position[network.springs].swapaxes(0, 1)
+        return np.linalg.norm(first - second, axis=1)
+
+    jacobian = central_difference(lengths, q)
+    expected = jacobian.T @ (network.damping * (jacobian @ velocity))
+    np.testing.assert_allclose(Mechanics(network).damping_force(q, velocity), expected, atol=1e-6)
+
+
+@given(SEEDS, GRAVITIES, KINDS)
+def test_acceleration_follows_the_equation_of_motion(
+    random_network, random_state, seed, gravity, kind
+):
+    network = replace(random_network(seed), damping_kind=kind)
     mechanics = Mechanics(network, gravity)
     q, velocity = random_state(seed, network)
     force = np.random.default_rng(seed).normal(size=len(q))
-    total = -mechanics.potential_gradient(q) - mechanics.damping_matrix() @ velocity + force
+    total = -mechanics.potential_gradient(q) - mechanics.damping_matrix(q) @ velocity + force
     mass_matrix = np.diag(np.repeat(network.mass[network.mobile], 2))
     np.testing.assert_allclose(
         mechanics.acceleration(q, velocity, force),
@@ -120,15 +177,12 @@ def test_elastic_energy_does_not_see_a_rotation_without_background(
     )
 
 
-@given(SEEDS)
-def test_internal_forces_balance_and_have_no_moment(random_network, random_state, seed):
-    network = random_network(seed)
+@given(SEEDS, KINDS)
+def test_internal_forces_balance_and_have_no_moment(random_network, random_state, seed, kind):
+    network = replace(random_network(seed), background_stiffness=0.0, damping_kind=kind)
     held = np.isin(network.springs, network.fixed).any(axis=1)
-    free = replace(
-        network,
-        stiffness=np.where(held, 0.0, network.stiffness),
-        damping=np.where(held, 0.0, network.damping),
-        background_stiffness=0.0,
+    free = without_dampers_at_supports(
+        replace(network, stiffness=np.where(held, 0.0, network.stiffness))
     )
     mechanics = Mechanics(free)
     q, velocity = random_state(seed, free)
@@ -136,8 +190,10 @@ def test_internal_forces_balance_and_have_no_moment(random_network, random_state
     x, y = q.reshape(-1, 2).T
     np.testing.assert_allclose(force.sum(axis=0), 0, atol=1e-11)
     assert x @ force[:, 1] - y @ force[:, 0] == pytest.approx(0, abs=1e-11)
-    damping = mechanics.damping_force(velocity).reshape(-1, 2)
+    damping = mechanics.damping_force(q, velocity).reshape(-1, 2)
     np.testing.assert_allclose(damping.sum(axis=0), 0, atol=1e-11)
+    if kind == 'axial':
+        assert x @ damping[:, 1] - y @ damping[:, 0] == pytest.approx(0, abs=1e-11)
 
 
 @given(SEEDS)
@@ -216,9 +272,12 @@ def test_energies_add_up(random_network, random_state, seed):
     assert mechanics.total_energy(q, velocity) == pytest.approx(potential + kinetic)
 
 
-def test_masses_at_one_point_give_finite_forces(small_network):
-    mechanics = Mechanics(small_network)
+@pytest.mark.parametrize('kind', DAMPING_KINDS)
+def test_masses_at_one_point_give_finite_forces(small_network, kind):
+    mechanics = Mechanics(replace(small_network, damping_kind=kind))
     together = np.zeros(small_network.configuration_size)
+    assert np.isfinite(mechanics.damping_force(together, together + 1.0)).all()
+    assert np.isfinite(mechanics.damping_matrix(together)).all()
     assert np.isfinite(mechanics.potential_gradient(together)).all()
     assert np.isfinite(mechanics.potential_hessian(together)).all()
 

@@ -1,0 +1,45 @@
+"""Figures of the experiments: one look, saved whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dpc_ros.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_RESOLUTION = 130  # dots per inch
+COLOURS = {  # Okabe and Ito
+    'flat': '#0072b2',
+    'graph': '#009e73',
+    'pod': '#8a8a8a',
+    'ours': '#d55e00',
+    'projection': '#cc79a7',
+    'paper': '#222222',
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure; sizes in inch."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout='constrained')
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(panel: Axes) -> None:
+    """Give a panel a light grid and no box."""
+    panel.grid(color='#e3e3e3', lw=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[['top', 'right']].set_visible(False)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG."""
+    with replacing(path) as partial:
+        figure.savefig(partial, dpi=_RESOLUTION, format='png')

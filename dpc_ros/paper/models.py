@@ -1,0 +1,105 @@
+"""Trained autoencoders for the experiments: taken from a folder, trained where they are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpc_ros.autoencoder import Autoencoder, Checkpoint
+from dpc_ros.autoencoder.experiment import dataset_for, trained_checkpoint
+from dpc_ros.autoencoder.projection import ProjectionAutoencoder
+from dpc_ros.data import Dataset
+from dpc_ros.network import load_network
+from dpc_ros.paper.recipes import Model, pod
+
+# Normalisation is a change of units and no parameter of the model; neither is the graph.
+_NO_PARAMETERS = {
+    'configuration_mean',
+    'configuration_scale',
+    'latent_mean',
+    'latent_scale',
+    'pod_scale',
+    'edges',
+}
+ENCODERS = ('network', 'projection')
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """Where the experiments keep their data and trainings.
+
+    Attributes:
+        data: folder of simulated data.
+        training: folder of checkpoints and of states of unfinished trainings.
+        progress: show progress bars.
+    """
+
+    data: Path
+    training: Path
+    progress: bool = True
+
+    def trained(self, model: Model, system: str, latent_size: int) -> Trained:
+        """Return the best of a model's trainings by validation error; all are run if need be."""
+        checkpoints = [
+            trained_checkpoint(recipe, self.training, self.data, self.progress)
+            for recipe in model.candidates(system, latent_size)
+        ]
+        best = min(checkpoints, key=lambda each: each.provenance['scores']['validation_mse'])
+        return Trained(model, system, latent_size, best)
+
+    def dataset(self, system: str) -> Dataset:
+        """Return the paper's data of a system."""
+        return _paper_dataset(self, system)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A model on one system at one latent size, with its checkpoint."""
+
+    model: Model
+    system: str
+    latent_size: int
+    checkpoint: Checkpoint
+
+    def autoencoder(self, encoder: str = 'network') -> Autoencoder:
+        """Return the autoencoder, with the trained encoder or with the projection."""
+        autoencoder = self.checkpoint.autoencoder()
+        return ProjectionAutoencoder(autoencoder) if encoder == 'projection' else autoencoder
+
+    def columns(self, encoder: str = 'network') -> dict[str, Any]:
+        """Return the columns that say which model a row is about."""
+        return {
+            'system': self.system,
+            'model': self.model.name,
+            'encoder': encoder,
+            'recipe': self.model.recipe,
+            'latent_size': self.latent_size,
+            'training_data': self.model.training_data,
+            'checkpoint': self.checkpoint.identifier,
+            'parameters': parameters(self.checkpoint),
+        }
+
+
+def parameters(checkpoint: Checkpoint) -> int:
+    """Return how many numbers a checkpoint's maps are made of: weights and POD basis."""
+    return sum(
+        value.size for name, value in checkpoint.tensors.items() if name not in _NO_PARAMETERS
+    )
+
+
+def in_batches(frames: np.ndarray, size: int) -> Iterator[np.ndarray]:
+    """Yield consecutive batches; the last may be smaller."""
+    for start in range(0, len(frames), size):
+        yield frames[start : start + size]
+
+
+@lru_cache(maxsize=1)  # a quarter of a gigabyte each
+def _paper_dataset(workshop: Workshop, system: str) -> Dataset:
+    network = load_network(system)
+    (recipe,) = pod(system, 1)  # any on the paper's data
+    return dataset_for(recipe, network, workshop.data, progress=workshop.progress)

@@ -1,0 +1,252 @@
+"""The tables of docs/experiments.md, made from docs/results/*.json."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dpc_ros.files import replacing
+from dpc_ros.paper.published import MSE, NOISE_DEVIATIONS, best_test_mse
+
+Rows = list[dict[str, Any]]
+PAGE = 'experiments.md'
+_BLOCK = re.compile(r'(<!-- table (\w+) from (\w+)\.json -->\n).*?(<!-- end -->)', re.DOTALL)
+
+
+def write_tables(docs: Path) -> None:
+    """Make every table of the experiments page anew from the results beside it.
+
+    Raises:
+        FileNotFoundError: the page or a result is missing.
+        ValueError: the page asks for a table that there is none of.
+    """
+    page = docs / PAGE
+    text = with_tables(page.read_text(), docs / 'results')
+    with replacing(page) as partial:
+        partial.write_text(text)
+
+
+def with_tables(text: str, results: Path) -> str:
+    """Return a page with the tables between its marks made from result files.
+
+    Raises:
+        FileNotFoundError: a result is missing.
+        ValueError: the page asks for a table that there is none of.
+    """
+
+    def table(match: re.Match[str]) -> str:
+        name, source = match.group(2), match.group(3)
+        if name not in _TABLES:
+            raise ValueError(f'no table {name!r}: expected one of {sorted(_TABLES)}')
+        content = json.loads((results / f'{source}.json').read_text())
+        origin = f'\nFrom `{source}.json`: `{content["command"]}`.\n'
+        return f'{match.group(1)}\n{_TABLES[name](content["rows"])}{origin}\n{match.group(4)}'
+
+    return _BLOCK.sub(table, text)
+
+
+def _reproduction(rows: Rows) -> str:
+    header = [
+        'system',
+        'model',
+        'parameters',
+        'train',
+        'validation',
+        'test',
+        'paper’s test',
+        'ratio',
+    ]
+    body = []
+    for row in rows:
+        if row['latent_size'] != 5 or row['model'] not in ('flat', 'graph'):
+            continue
+        train, validation, test = MSE[row['system'], row['model']]
+        body.append(
+            [
+                row['system'][-1],
+                row['model'],
+                f'{row["parameters"]:,}',
+                f'{_number(row["train_mse"])} ({_number(train)})',
+                f'{_number(row["validation_mse"])} ({_number(validation)})',
+                _number(row['test_mse']),
+                _number(test),
+                f'{row["ratio_to_paper"]:.2f}',
+            ]
+        )
+    return _markdown(header, body)
+
+
+def _ours(rows: Rows) -> str:
+    columns = [
+        ('POD', 'pod', 'paper', 'network', 5),
+        ('ours', 'ours', 'paper', 'network', 5),
+        ('with projection', 'ours', 'paper', 'projection', 5),
+        ('more data', 'ours', 'extended', 'network', 5),
+        ('more data, projection', 'ours', 'extended', 'projection', 5),
+    ]
+    return _by_system(rows, 5, columns, ratio_of=1)
+
+
+def _small(rows: Rows) -> str:
+    tables = []
+    for m in (3, 2):
+        columns = [
+            (f'flat, m = {m}', 'flat', 'paper', 'network', m),
+            (f'ours, m = {m}', 'ours', 'paper', 'network', m),
+            ('with projection', 'ours', 'paper', 'projection', m),
+        ]
+        tables.append(_by_system(rows, m, columns, ratio_of=1))
+    return '\n'.join(tables)
+
+
+def _by_system(
+    rows: Rows, latent_size: int, columns: Sequence[tuple[str, str, str, str, int]], ratio_of: int
+) -> str:
+    header = [
+        'system',
+        'paper’s better value',
+        *(column[0] for column in columns),
+        'ours / paper’s',
+    ]
+    body = []
+    for system in dict.fromkeys(row['system'] for row in rows):
+        published = best_test_mse(system, latent_size)
+        values = [_value(rows, system, *column[1:]) for column in columns]
+        assert published is not None
+        body.append(
+            [
+                system[-1],
+                _number(published),
+                *map(_number, values),
+                f'{values[ratio_of] / published:.2f}',
+            ]
+        )
+    return _markdown(header, body)
+
+
+def _value(rows: Rows, system: str, model: str, data: str, encoder: str, m: int) -> float:
+    wanted = {
+        'system': system,
+        'model': model,
+        'training_data': data,
+        'encoder': encoder,
+        'latent_size': m,
+    }
+    return next(row['test_mse'] for row in rows if wanted.items() <= row.items())
+
+
+def _compression(rows: Rows) -> str:
+    sizes = sorted({row['latent_size'] for row in rows})
+    header = ['system', 'model', *(f'm = {m}' for m in sizes)]
+    body = []
+    for system, model in dict.fromkeys((row['system'], row['model']) for row in rows):
+        mine = [row for row in rows if (row['system'], row['model']) == (system, model)]
+        errors = {row['latent_size']: row['test_mse'] for row in mine}
+        published = {row['latent_size']: row['paper_test_mse'] for row in mine}
+        body.append([system[-1], model, *(_number(errors.get(m)) for m in sizes)])
+        if any(value is not None for value in published.values()):
+            body.append(['', 'published', *(_number(published.get(m)) for m in sizes)])
+    return _markdown(header, body)
+
+
+def _noise(rows: Rows) -> str:
+    header = ['system', 'model', *(f'σ = {sigma:g} m' for sigma in NOISE_DEVIATIONS)]
+    keys = ('system', 'model', 'training_data', 'encoder')
+    body = []
+    for chosen in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
+        mine = [row for row in rows if tuple(row[key] for key in keys) == chosen]
+        system, model, data, encoder = chosen
+        label = model + (', more data' if data == 'extended' else '')
+        label += ', projection' if encoder == 'projection' else ''
+        body.append([system[-1], label, *(_number(row['test_mse']) for row in mine)])
+        if mine[0]['paper_test_mse'] is not None:
+            body.append(['', 'published', *(_number(row['paper_test_mse']) for row in mine)])
+    return _markdown(header, body)
+
+
+def _grid(rows: Rows) -> str:
+    keys = ('learning_rate', 'weight_decay', 'step_factor', 'step_epochs')
+    header = ['learning rate', 'λ', 'γ', 'step', 'train', 'validation']
+    body = [
+        [
+            *(f'{row[key]:g}' for key in keys),
+            _number(row['train_mse']),
+            _number(row['validation_mse']),
+        ]
+        for row in rows
+    ]
+    return _markdown(header, body)
+
+
+def _systems(rows: Rows) -> str:
+    header = ['system', 'mobile masses', 'fixed', 'springs', 'width [m]', 'height [m]']
+    keys = ('mobile_masses', 'fixed_masses', 'springs')
+    body = [
+        [
+            row['system'][-1],
+            *(str(row[key]) for key in keys),
+            f'{row["width_m"]:.2f}',
+            f'{row["height_m"]:.2f}',
+        ]
+        for row in rows
+    ]
+    return _markdown(header, body)
+
+
+def _interpretability(rows: Rows) -> str:
+    changes = sorted({row['change_of_range'] for row in rows if row['change_of_range'] > 0})
+    header = ['system', 'variable', *(f'± {change:.0%}' for change in changes)]
+    body = []
+    for system, variable in dict.fromkeys((row['system'], row['variable']) for row in rows):
+        cells = []
+        for change in changes:
+            moved = [
+                row['displacement_rms_m']
+                for row in rows
+                if (row['system'], row['variable'], abs(row['change_of_range']))
+                == (system, variable, change)
+            ]
+            cells.append(f'{sum(moved) / len(moved):.2f}')
+        body.append([system[-1], f'ξ{"₀₁"[variable]}', *cells])
+    return _markdown(header, body)
+
+
+def _pointwise(rows: Rows) -> str:
+    quantities = ('configuration', 'velocity', 'energy')
+    header = ['system', 'model', 'q [m²]', 'q̇ [m²/s²]', 'energy [J²]']
+    body = []
+    keys = ('system', 'model', 'encoder')
+    for chosen in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
+        mine = [row for row in rows if tuple(row[key] for key in keys) == chosen]
+        medians = (
+            sum(row[f'{quantity}_median'] for row in mine) / len(mine) for quantity in quantities
+        )
+        system, model, encoder = chosen
+        label = f'{model}, projection' if encoder == 'projection' else model
+        body.append([system[-1], label, *map(_number, medians)])
+    return _markdown(header, body)
+
+
+_TABLES: dict[str, Callable[[Rows], str]] = {
+    'reproduction': _reproduction,
+    'ours': _ours,
+    'small': _small,
+    'compression': _compression,
+    'noise': _noise,
+    'grid': _grid,
+    'systems': _systems,
+    'interpretability': _interpretability,
+    'pointwise': _pointwise,
+}
+
+
+def _number(value: float | None) -> str:
+    return '' if value is None else f'{value:.2e}'.replace('e-0', 'e-').replace('e+00', '')
+
+
+def _markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    lines = [header, ['---'] * len(header), *body]
+    return ''.join(f'| {" | ".join(line)} |\n' for line in lines)
