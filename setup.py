@@ -59,6 +59,7 @@ setup(
             'ros-jazzy-rmw-fastrtps-cpp',
             'ros-jazzy-rosgraph-msgs',
         ],
+        'selection': ['ray[tune]'],
         'test': [
             'beartype',
             'catkin_pkg',
@@ -69,8 +70,10 @@ setup(
             'psutil',
             'pytest',
             'pytest-timeout',
+            'ray[tune]',
             'rosbags',
             'ruff',
+            'torch_geometric',
         ],
     },
     entry_points={

@@ -126,8 +126,15 @@ def train(options: argparse.Namespace) -> None:
 def select(options: argparse.Namespace) -> None:
     """Train a recipe under every combination of a grid and show which validates best."""
     from dpc_ros.autoencoder.recipe import load_recipe
-    from dpc_ros.autoencoder.selection import PAPER_GRIDS, grid_recipes, load_grid
-    from dpc_ros.autoencoder.selection import select as run
+
+    try:
+        from dpc_ros.autoencoder.selection import PAPER_GRIDS, grid_recipes, load_grid
+        from dpc_ros.autoencoder.selection import select as run
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f'model selection needs {error.name}, which is not installed: '
+            "pip install 'dpc_ros[selection]'"
+        ) from error
     from dpc_ros.results import write_results
 
     recipe = load_recipe(options.config)
@@ -154,7 +161,9 @@ def select(options: argparse.Namespace) -> None:
         print('  '.join(_cell(row[key]) for key in keys))
     print(f'best        {folder / rows[0]["name"]}.json')
     if options.results:
-        write_results(options.results, rows, seed=recipe.seed)
+        columns = ('name', 'latent_size', *keys)
+        chosen = [{key: row[key] for key in columns} for row in rows]
+        write_results(options.results, chosen, seed=recipe.seed)
         print(f'results     {options.results}')
 
 

@@ -196,7 +196,7 @@ class Shipped:
     system: CompressedSystem
 
 
-@pytest.fixture(scope='session', params=['paper_2_flat_m2', 'paper_2_skip_m5'])
+@pytest.fixture(scope='session', params=['paper_2_flat_m2', 'paper_2_extended_m5'])
 def shipped(request, paper_2):
     """Each shipped checkpoint, on system 2 without gravity."""
     checkpoint = load_checkpoint(request.param)

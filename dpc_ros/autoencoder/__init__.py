@@ -8,12 +8,19 @@ from dpc_ros.autoencoder.checkpoint import (
     save_checkpoint,
 )
 from dpc_ros.autoencoder.flat import FlatAutoencoder
+from dpc_ros.autoencoder.graph import GraphAutoencoder
+from dpc_ros.autoencoder.pod import PodAutoencoder
+from dpc_ros.autoencoder.projection import ProjectionAutoencoder, with_encoder
 
 __all__ = [
     'Autoencoder',
     'Checkpoint',
     'CheckpointError',
     'FlatAutoencoder',
+    'GraphAutoencoder',
+    'PodAutoencoder',
+    'ProjectionAutoencoder',
     'load_checkpoint',
     'save_checkpoint',
+    'with_encoder',
 ]

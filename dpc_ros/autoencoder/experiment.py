@@ -46,7 +46,7 @@ def train_checkpoint(
         ValueError: the data belong to another network.
     """
     network = load_network(recipe.network)
-    dataset = dataset_for(recipe, network, data_folder, data, progress)
+    dataset = dataset_for(network, data_folder, recipe.extra_simulations, data, progress)
     state = state_path(recipe, folder)
     module = train(recipe, network, dataset, state, progress, on_epoch)
     autoencoder = module.export()
@@ -103,22 +103,28 @@ def trained_checkpoint(
 
 
 def dataset_for(
-    recipe: Recipe,
     network: MassSpringNetwork,
     data_folder: Path,
+    extra_simulations: int = 0,
     data: Path | None = None,
     progress: bool = False,
 ) -> Dataset:
-    """Return the data that a recipe trains on, simulated where their file is missing.
+    """Return the data of a network, simulated where their file is missing.
+
+    Args:
+        network: the body.
+        data_folder: where the data of a network are kept.
+        extra_simulations: how many train beside the paper's.
+        data: file of the data, instead of the one in `data_folder`.
+        progress: show progress bars.
 
     Raises:
-        ValueError: the file holds data of another network, or other simulations.
+        ValueError: the file holds data of another network.
     """
-    extra = recipe.extra_simulations
-    name = f'{network.name}_plus{extra}' if extra else network.name
+    name = f'{network.name}_plus{extra_simulations}' if extra_simulations else network.name
     path = data or data_folder / f'{name}.npz'
     if not path.is_file():
-        conditions = extended_conditions(extra)
+        conditions = extended_conditions(extra_simulations)
         save_dataset(make_dataset(network, conditions, progress=progress), path)
     dataset = load_dataset(path)
     digest = dataset.provenance['network_digest']

@@ -16,7 +16,6 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from dpc_ros.autoencoder.architecture import GraphArchitecture
 from dpc_ros.autoencoder.graph import GraphAutoencoder
@@ -188,8 +187,8 @@ class _Convolution(torch.autograd.Function):
         return y.view(*x.shape[:-1], -1)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        _refuse_second_derivatives()
         rows, aggregated, neighbour, root = ctx.saved_tensors
         g = gradient.reshape(-1, gradient.shape[-1])
         by_x = None
@@ -210,10 +209,18 @@ class _Elu(torch.autograd.Function):
         return y.clamp_min(0).add_(slope).sub_(1)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        _refuse_second_derivatives()
         (slope,) = ctx.saved_tensors
         return gradient * slope
+
+
+def _refuse_second_derivatives() -> None:
+    # A gradient that is written by hand is no function of x to torch: its derivative would be zero.
+    if torch.is_grad_enabled():
+        raise RuntimeError(
+            'a graph module can be differentiated once only: take second derivatives of its export'
+        )
 
 
 _ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -234,6 +241,7 @@ def _sparse(matrix: Any) -> Tensor:
             torch.from_numpy(matrix.indices.astype(np.int64)),
             torch.from_numpy(matrix.data),
             matrix.shape,
+            check_invariants=True,
         )
 
 

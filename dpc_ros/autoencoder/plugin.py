@@ -61,8 +61,8 @@ class PluginAutoencoder(Autoencoder):
         """Return a `PluginModule` with these weights, for online use.
 
         Raises:
-            ValueError: a tensor is missing or unknown or has another shape, or the plug-in is not
-                what it should be.
+            ValueError: a tensor is missing or unknown, has another shape, or is a scale that is
+                not positive, or the plug-in is not what it should be.
         """
         with torch.random.fork_rng(devices=[]):  # initial weights, which nobody will see
             module = PluginModule(architecture)
@@ -70,6 +70,10 @@ class PluginAutoencoder(Autoencoder):
             module.load_state_dict({k: torch.from_numpy(v.copy()) for k, v in tensors.items()})
         except RuntimeError as error:
             raise ValueError(' '.join(str(error).split())) from error
+        for name in ('configuration_scale', 'latent_scale', 'pod_scale'):
+            scale = getattr(module, name)
+            if not (scale > 0).all():
+                raise ValueError(f'{name}: expected positive values, got {scale.tolist()}')
         return cls(module)
 
     @property

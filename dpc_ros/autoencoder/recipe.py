@@ -52,6 +52,8 @@ class Recipe:
         pod_size: how many POD coordinates flat networks read and write, zero for all n.
         options: keyword arguments of a registered autoencoder's class.
         extra_simulations: how many simulations under random gravity train beside the paper's.
+        input_noise: deviation of normal noise on what is encoded in training [m]; the loss is
+            against the true configuration, so that the encoder learns to reject noise.
         epochs: passes over the training configurations.
         batch_size: configurations per step of Adam.
         optimizer: `adam`, where the weight decay is part of the gradient (L2 regularisation), or
@@ -81,6 +83,7 @@ class Recipe:
     pod_size: int = 0
     options: dict[str, Any] = field(default_factory=dict)
     extra_simulations: int = 0
+    input_noise: float = 0.0
     epochs: int = 500
     batch_size: int = 256
     optimizer: str = 'adam'
@@ -111,7 +114,7 @@ class Recipe:
             value = getattr(self, key)
             if not _is_whole(value, least):
                 raise ValueError(f'{key}: expected a whole number ≥ {least}, got {value!r}')
-        for key in ('learning_rate', 'weight_decay', 'step_factor'):
+        for key in ('learning_rate', 'weight_decay', 'step_factor', 'input_noise'):
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ValueError(f'{key}: expected a number (YAML: 1.0e-3), got {value!r}')

@@ -61,7 +61,7 @@ def load_grid(path: str | Path) -> dict[str, list[Any]]:
     """
     try:
         content = yaml.safe_load(Path(path).read_text())
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f'{path}: expected YAML, but {" ".join(str(error).split())}') from error
     if not isinstance(content, dict) or not all(
         isinstance(values, list) and values for values in content.values()
@@ -107,18 +107,38 @@ def select(
         raise ValueError('recipes: expected all of one network and its data')
     folder, data_folder = folder.absolute(), data_folder.absolute()
     # Once, before many trainings would make them side by side.
-    dataset_for(recipes[0], load_network(recipes[0].network), data_folder, progress=progress)
+    first = recipes[0]
+    dataset_for(
+        load_network(first.network), data_folder, first.extra_simulations, progress=progress
+    )
+    done = [recipe for recipe in recipes if (folder / f'{recipe.name}.json').is_file()]
+    missing = [recipe for recipe in recipes if recipe not in done]
+    rows = [_row_of_checkpoint(recipe, folder, data_folder) for recipe in done]
+    if missing:
+        rows += _search(missing, folder, data_folder, address, parallel, early_stopping, progress)
+    return sorted(rows, key=lambda row: row['validation_mse'])
+
+
+def _search(
+    recipes: Sequence[Recipe],
+    folder: Path,
+    data_folder: Path,
+    address: str | None,
+    parallel: int | None,
+    early_stopping: bool,
+    progress: bool,
+) -> list[dict[str, Any]]:
+    """Run the trainings on the cluster at the address, or on one of this machine's own."""
     started = not ray.is_initialized()
     if started:
         ray.init(
             address, include_dashboard=False, log_to_driver=False, num_cpus=_cpus(address, parallel)
         )
     try:
-        results = _run(recipes, folder, data_folder, parallel, early_stopping, progress)
+        return _run(recipes, folder, data_folder, parallel, early_stopping, progress)
     finally:
         if started:
             ray.shutdown()
-    return sorted(results, key=lambda row: row['validation_mse'])
 
 
 def _run(
@@ -133,7 +153,10 @@ def _run(
     scheduler = None
     if early_stopping:
         longest = max(recipe.epochs for recipe in recipes)
-        scheduler = ASHAScheduler('epochs', max_t=longest, grace_period=min(_GRACE, longest))
+        # Not stopped at its last epoch: its checkpoint is still to be written.
+        scheduler = ASHAScheduler(
+            'epochs', max_t=longest, grace_period=min(_GRACE, longest), stop_last_trials=False
+        )
     with tqdm(total=len(recipes), desc='selecting', unit='training', disable=not progress) as bar:
         grid = tune.Tuner(
             tune.with_resources(
@@ -159,15 +182,22 @@ def _run(
     for i in range(len(grid)):
         metrics = grid[i].metrics or {}
         recipe = by_name[metrics['config']['recipe']['name']]
-        rows.append(
-            {
-                **recipe.as_dict(),
-                'epochs': metrics['epochs'],
-                'train_mse': metrics.get('train_mse'),
-                'validation_mse': metrics['validation_mse'],
-            }
-        )
+        rows.append(_row(recipe, metrics))
     return rows
+
+
+def _row(recipe: Recipe, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        **recipe.as_dict(),
+        'epochs': metrics['epochs'],
+        'train_mse': metrics.get('train_mse'),
+        'validation_mse': metrics['validation_mse'],
+    }
+
+
+def _row_of_checkpoint(recipe: Recipe, folder: Path, data_folder: Path) -> dict[str, Any]:
+    checkpoint = trained_checkpoint(recipe, folder, data_folder)
+    return _row(recipe, {'epochs': recipe.epochs, **checkpoint.provenance['scores']})
 
 
 def _train(config: dict[str, Any], folder: Path, data_folder: Path) -> None:

@@ -109,7 +109,9 @@ def _descend(
                     group['lr'] = recipe.learning_rate_at(
                         epoch * steps_per_epoch + k, steps_per_epoch
                     )
-                loss = train_set.mse(train_set.features[batch])
+                q = train_set.features[batch]
+                noise = torch.randn(q.shape, generator=generator) if recipe.input_noise else 0.0
+                loss = train_set.mse(q, recipe.input_noise * noise)
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
@@ -137,13 +139,14 @@ class _Frames:
     ) -> None:
         exact = torch.from_numpy(configurations)
         self._module = module
-        self._unit = float(module.configuration_scale) ** 2 / exact.shape[1]  # m² a coordinate
+        self._scale = float(module.configuration_scale)
+        self._unit = self._scale**2 / exact.shape[1]  # m² a coordinate
         self.features = module.features(exact).float()
         self.lost = module.lost_by_features(exact)
 
-    def mse(self, features: torch.Tensor) -> torch.Tensor:
-        """Return the mean square error of D(E(q)) on a batch [m²], without what features lose."""
-        error = self._module.reconstruct(features) - features
+    def mse(self, features: torch.Tensor, noise: torch.Tensor | float = 0.0) -> torch.Tensor:
+        """Return the mean square error of D(E(q + noise)) on a batch [m²], as features see it."""
+        error = self._module.reconstruct(features + noise / self._scale) - features
         return (error**2).sum() * (self._unit / len(features))
 
     @torch.no_grad()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import yaml
 
-from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint
+from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint, with_encoder
 from dpc_ros.bag.convergence import Convergence, analyse
 from dpc_ros.bag.metadata import PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, read_run
@@ -78,20 +79,34 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
             f'checkpoint: expected that of the log, {run.autoencoder_identifier}, got '
             f'{found.identifier}: name the one that the run was made with'
         )
-    return found.autoencoder()
+    try:
+        return with_encoder(
+            found.autoencoder(), _parameters(run, 'encoder').get('encoder', 'network')
+        )
+    except ValueError:
+        return found.autoencoder()
 
 
 def _gravity(run: Run) -> Gravity | None:
     """Return the field that the simulator's parameters in the log name, if they are there."""
-    record = run.metadata.get(PARAMETERS_RECORD, {})
+    parameters = _parameters(run, 'simulator')
     try:
-        sections = yaml.safe_load(record.get('yaml', ''))
-        parameters: dict[str, float] = {}
-        for name in ('/**', 'simulator', '/simulator', '/**/simulator'):
-            parameters |= sections.get(name, {}).get('ros__parameters', {})
         return Gravity(
             parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
         )
-    # Whatever another recorder wrote there, it is not the parameters of a simulator.
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError):
+    except (KeyError, TypeError, ValueError):
         return None
+
+
+def _parameters(run: Run, node: str) -> dict[str, Any]:
+    """Return the parameters of a node that the log holds, empty where it holds none."""
+    record = run.metadata.get(PARAMETERS_RECORD, {})
+    parameters: dict[str, Any] = {}
+    try:
+        sections = yaml.safe_load(record.get('yaml', ''))
+        for name in ('/**', node, f'/{node}', f'/**/{node}'):
+            parameters |= sections.get(name, {}).get('ros__parameters', {})
+    # Whatever another recorder wrote there, it is not the parameters of a node.
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError, RecursionError):
+        return {}
+    return parameters

@@ -52,10 +52,11 @@ def run_closed_loop(
         on_step: called with the number of each state, for progress.
     """
     rows: list[tuple[np.ndarray, ...]] = []
+    latent: np.ndarray | None = None
     with single_threaded_algebra():
         for k in range(steps + 1):
             latent, latent_velocity = autoencoder.encoder_jacobian_vector_product(
-                body.configuration, body.velocity
+                body.configuration, body.velocity, latent
             )
             force = law.force(latent, latent_velocity)
             rows.append((body.configuration, body.velocity, latent, latent_velocity, force))

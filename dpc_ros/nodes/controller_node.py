@@ -8,7 +8,7 @@ import time
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
-from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.control import EquilibriumError, Target, TargetSchedule, load_target, make_law
 from dpc_ros.network import Gravity, Mechanics, load_network
 from dpc_ros.nodes.answers import Answers
@@ -37,8 +37,11 @@ class ControllerNode(LoopNode):
         checkpoint = load_checkpoint(settings['checkpoint'])
         checkpoint.check_network(network)
         gravity = Gravity(settings['gravity_magnitude'], settings['gravity_angle'])
+        autoencoder = with_encoder(
+            checkpoint.autoencoder(), settings['encoder'], settings['projection_iterations']
+        )
         system = CompressedSystem(
-            Mechanics(network, gravity), checkpoint.autoencoder(), settings['actuated_mass']
+            Mechanics(network, gravity), autoencoder, settings['actuated_mass']
         )
         self._law = make_law(
             settings['law'],

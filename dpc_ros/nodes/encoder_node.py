@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
-from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.network import load_network
 from dpc_ros.nodes.answers import Answers
 from dpc_ros.nodes.loop_node import LoopNode, run_node
@@ -32,12 +32,17 @@ class EncoderNode(LoopNode):
         network = load_network(self.settings['network'])
         checkpoint = load_checkpoint(self.settings['checkpoint'])
         checkpoint.check_network(network)
-        self._autoencoder = checkpoint.autoencoder()
+        self._autoencoder = with_encoder(
+            checkpoint.autoencoder(),
+            self.settings['encoder'],
+            self.settings['projection_iterations'],
+        )
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
         self._names = latent_names(self._autoencoder.latent_size)
         self._answers = Answers()
+        self._last_latent: np.ndarray | None = None
         rest = network.rest_configuration
         self._autoencoder.encoder_jacobian_vector_product(rest, np.zeros_like(rest))  # warm up
         self._latent_state = self.create_output('latent_state')
@@ -57,9 +62,12 @@ class EncoderNode(LoopNode):
         stamp = from_stamp(message.header.stamp)
         answer = self._answers.repeated(stamp, message)
         if answer is None:
+            if self._answers.starts_epoch(stamp):
+                self._last_latent = None
             latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
-                configuration, velocity
+                configuration, velocity, self._last_latent
             )
+            self._last_latent = latent
             answer = state_message(
                 message.header.stamp, self._identifier, latent, latent_velocity, self._names
             )

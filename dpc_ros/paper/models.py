@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from dpc_ros.autoencoder import Autoencoder, Checkpoint
+from dpc_ros.autoencoder import Autoencoder, Checkpoint, with_encoder
 from dpc_ros.autoencoder.experiment import dataset_for, trained_checkpoint
-from dpc_ros.autoencoder.projection import ProjectionAutoencoder
 from dpc_ros.data import Dataset
 from dpc_ros.network import load_network
-from dpc_ros.paper.recipes import Model, pod
+from dpc_ros.paper.recipes import Model
 
 # Normalisation is a change of units and no parameter of the model; neither is the graph.
 _NO_PARAMETERS = {
@@ -26,7 +25,6 @@ _NO_PARAMETERS = {
     'pod_scale',
     'edges',
 }
-ENCODERS = ('network', 'projection')
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ class Trained:
 
     def autoencoder(self, encoder: str = 'network') -> Autoencoder:
         """Return the autoencoder, with the trained encoder or with the projection."""
-        autoencoder = self.checkpoint.autoencoder()
-        return ProjectionAutoencoder(autoencoder) if encoder == 'projection' else autoencoder
+        return with_encoder(self.checkpoint.autoencoder(), encoder)
 
     def columns(self, encoder: str = 'network') -> dict[str, Any]:
         """Return the columns that say which model a row is about."""
@@ -100,6 +97,4 @@ def in_batches(frames: np.ndarray, size: int) -> Iterator[np.ndarray]:
 
 @lru_cache(maxsize=1)  # a quarter of a gigabyte each
 def _paper_dataset(workshop: Workshop, system: str) -> Dataset:
-    network = load_network(system)
-    (recipe,) = pod(system, 1)  # any on the paper's data
-    return dataset_for(recipe, network, workshop.data, progress=workshop.progress)
+    return dataset_for(load_network(system), workshop.data, progress=workshop.progress)

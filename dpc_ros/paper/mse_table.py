@@ -9,9 +9,10 @@ import numpy as np
 from tqdm import tqdm
 
 from dpc_ros.autoencoder import Autoencoder
+from dpc_ros.autoencoder.projection import ENCODERS
 from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
-from dpc_ros.paper.models import ENCODERS, Trained, Workshop, in_batches
+from dpc_ros.paper.models import Trained, Workshop, in_batches
 from dpc_ros.paper.published import best_test_mse, test_mse
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, POD, SYSTEMS, Model
 

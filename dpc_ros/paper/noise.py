@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from dpc_ros.autoencoder.projection import ENCODERS
 from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
-from dpc_ros.paper.models import ENCODERS, Workshop
+from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.published import NOISE, NOISE_DEVIATIONS
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, SYSTEMS
 
 SEED = 0
 LATENT_SIZE = 5
-_STRIDE = 5  # of the test frames
+_STRIDE = 10  # of the test frames
 _MODELS = (
     (FLAT, ('network',)),
     (GRAPH, ('network',)),
@@ -27,7 +28,7 @@ _MODELS = (
 def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict[str, Any]]:
     """Return one row for every system, model, encoder and σ; errors of D(E(q + ε)) against q [m²].
 
-    Each fifth frame of the test simulations is taken, under the same noise for every model.
+    Each tenth frame of the test simulations is taken, under the same noise for every model.
     `floor` is σ²m/n, what is left of the noise by an exact projection onto m dimensions.
     """
     rows = []

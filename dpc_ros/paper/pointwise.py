@@ -101,18 +101,19 @@ def _errors(
         states = zip(
             dataset.test[mine][::_STRIDE], dataset.test_velocity[mine][::_STRIDE], strict=True
         )
-        found = [_state_errors(mechanics, autoencoder, *state) for state in states]
+        found = [state_errors(mechanics, autoencoder, *state) for state in states]
         for quantity, values in zip(_QUANTITIES, np.transpose(found), strict=True):
             errors[quantity].append(values)
     return {quantity: np.stack(values) for quantity, values in errors.items()}
 
 
-def _state_errors(
+def state_errors(
     mechanics: Mechanics,
     autoencoder: Autoencoder,
     configuration: Float[np.ndarray, ' n'],
     velocity: Float[np.ndarray, ' n'],
 ) -> tuple[float, float, float]:
+    """Return the errors of one state: of q [m²], of q̇ [m²/s²], of the energy [J²]."""
     latent, latent_velocity = autoencoder.encoder_jacobian_vector_product(configuration, velocity)
     decoded, jacobian = autoencoder.decode_with_jacobian(latent)
     decoded_velocity = jacobian @ latent_velocity

@@ -124,6 +124,7 @@ def extended(system: str, latent_size: int) -> list[Recipe]:
             skip=True,
             pod_size=64,
             extra_simulations=_EXTRA_SIMULATIONS,
+            input_noise=0.02,
             epochs=80,
             batch_size=128,
             optimizer='adamw',

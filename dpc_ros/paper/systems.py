@@ -41,7 +41,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     low = min(network.rest_position[:, 1].min() for network in networks) - _MARGIN
     high = max(network.rest_position[:, 1].max() for network in networks) + _MARGIN
     widths = [row['width_m'] + 2 * _MARGIN for row in rows]
-    figure = new_figure(14, 14 * (high - low) / sum(widths))
+    figure = new_figure(14, 14 * (high - low) / sum(widths) + 1.2)  # titles and labels
     panels = np.atleast_1d(figure.subplots(1, len(rows), width_ratios=widths))
     for panel, network, row in zip(panels, networks, rows, strict=True):
         draw_network(network, panel, label_every=0, legend=False)

@@ -13,7 +13,7 @@ from dpc_ros.paper.published import MSE, NOISE_DEVIATIONS, best_test_mse
 
 Rows = list[dict[str, Any]]
 PAGE = 'experiments.md'
-_BLOCK = re.compile(r'(<!-- table (\w+) from (\w+)\.json -->\n).*?(<!-- end -->)', re.DOTALL)
+_BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
 def write_tables(docs: Path) -> None:

@@ -102,6 +102,72 @@ def test_decoder_curvature(module, point):
     assert np.abs(curvature).max() > 1e-6
 
 
+@pytest.fixture(scope='module')
+def spread(small_configurations):
+    """Configurations that fill all directions, some more than others."""
+    draw = np.random.default_rng(5)
+    n = small_configurations.shape[1]
+    return small_configurations.mean(axis=0) + draw.normal(size=(80, n)) * np.linspace(0.01, 1, n)
+
+
+def pod_module(pod_size, configurations):
+    torch.manual_seed(0)
+    n = configurations.shape[1]
+    module = FlatModule(FlatArchitecture(n, 3, (16, 8), 'silu', True, pod_size))
+    module.fit_normalisation(configurations)
+    module.normalise_latents(configurations)
+    return module.double()
+
+
+@pytest.mark.parametrize('pod_size', [3, 7, 24])
+def test_export_with_pod_coordinates_is_the_module(spread, pod_size):
+    module = pod_module(pod_size, spread)
+    autoencoder = module.export()
+    with torch.no_grad():
+        latent = module.encode(torch.from_numpy(spread))
+        decoded = module.decode(latent)
+    np.testing.assert_allclose(autoencoder.encode(spread), latent, atol=1e-10)
+    np.testing.assert_allclose(autoencoder.decode(latent.numpy()), decoded, atol=1e-10)
+    at, weights = latent[0], torch.from_numpy(spread[1])
+    expected = torch.func.jacfwd(lambda xi: module.decode(xi[None])[0])(at).detach()
+    np.testing.assert_allclose(autoencoder.decoder_jacobian(at.numpy()), expected, atol=1e-10)
+    hessian = torch.func.hessian(lambda xi: weights @ module.decode(xi[None])[0])(at).detach()
+    curvature = autoencoder.decoder_curvature(at.numpy(), weights.numpy())
+    np.testing.assert_allclose(curvature, hessian, atol=1e-10)
+    _, moved = autoencoder.encoder_jacobian_vector_product(spread[0], spread[1])
+    jacobian = torch.func.jacfwd(lambda q: module.encode(q[None])[0])(torch.from_numpy(spread[0]))
+    np.testing.assert_allclose(moved, jacobian.detach().numpy() @ spread[1], atol=1e-9)
+
+
+def test_all_pod_coordinates_lose_nothing(spread):
+    module = pod_module(24, spread)
+    q = torch.from_numpy(spread)
+    features = module.features(q)
+    assert module.lost_by_features(q) < 1e-28
+    centred = (q - module.configuration_mean) / module.configuration_scale
+    torch.testing.assert_close(features @ module.pod_basis.T, centred)
+    torch.testing.assert_close(features.square().sum(), centred.square().sum())
+
+
+@pytest.mark.parametrize('pod_size', [0, 3, 7, 24])
+def test_error_of_features_and_what_they_lose_is_the_whole_error(spread, pod_size):
+    module = pod_module(pod_size, spread)
+    q = torch.from_numpy(spread)
+    with torch.no_grad():
+        features = module.features(q)
+        error = (module.reconstruct(features) - features).square().sum() / q.numel()
+        whole = (module(q) - q).square().mean()
+    seen = float(error * module.configuration_scale**2)
+    assert seen + module.lost_by_features(q) == pytest.approx(float(whole), rel=1e-9)
+
+
+def test_configurations_that_do_not_move_are_refused(make_module, small_configurations):
+    module = make_module(3)
+    still = np.tile(small_configurations[0], (10, 1))
+    with pytest.raises(ValueError, match='fewer than 3 independent directions'):
+        module.fit_normalisation(still)
+
+
 def test_pod_skip_alone_is_the_best_linear_reconstruction(make_module, small_configurations):
     module = make_module(3, skip=True)
     with torch.no_grad():
@@ -157,6 +223,11 @@ def test_layers_have_to_follow_on_one_another():
         ({'latent_size': 2.0}, 'positive whole sizes'),
         ({'hidden_sizes': (10, 0)}, 'positive whole sizes'),
         ({'activation': 'relu'}, r"activation 'relu': expected one of \['elu', 'silu'\]"),
+        ({'pod_size': 4}, 'pod_size 4: expected skip'),
+        ({'pod_size': 1, 'skip': True}, 'pod_size 1: expected skip and at least latent_size 2'),
+        ({'pod_size': 7, 'skip': True}, 'at most configuration_size 6'),
+        ({'pod_size': -1, 'skip': True}, 'pod_size: expected a whole number ≥ 0'),
+        ({'pod_size': 2.0, 'skip': True}, 'pod_size: expected a whole number ≥ 0'),
     ],
 )
 def test_bad_architectures_are_refused(changes, message):

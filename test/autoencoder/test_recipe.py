@@ -1,5 +1,6 @@
 """Recipes are checked before anything is simulated or trained."""
 
+import json
 from dataclasses import fields
 
 import pytest
@@ -16,7 +17,7 @@ def write(tmp_path, text):
     return path
 
 
-@pytest.mark.parametrize('name', ['paper_2_flat_m2', 'paper_2_skip_m5'])
+@pytest.mark.parametrize('name', ['paper_2_flat_m2', 'paper_2_extended_m5'])
 def test_shipped_recipes_name_themselves(name):
     recipe = load_recipe(name)
     assert (recipe.name, recipe.network) == (name, 'paper_2')
@@ -26,6 +27,15 @@ def test_defaults_are_filled_in(tmp_path):
     recipe = load_recipe(write(tmp_path, 'name: mine\nnetwork: paper_1\n'))
     assert recipe == Recipe(name='mine', network='paper_1')
     assert recipe.as_dict().keys() == {field.name for field in fields(Recipe)}
+
+
+def test_a_recipe_comes_back_from_json(tmp_path):
+    text = 'name: mine\nnetwork: paper_1\nskip: true\npod_size: 60\noptimizer: adamw\n'
+    text += 'options: {units: [3, 4], name: wide, deep: {wide: true, by: null}}\n'
+    recipe = load_recipe(write(tmp_path, text))
+    assert recipe.pod_size == 60
+    assert recipe.options == {'units': [3, 4], 'name': 'wide', 'deep': {'wide': True, 'by': None}}
+    assert Recipe(**json.loads(json.dumps(recipe.as_dict()))) == recipe
 
 
 @pytest.mark.parametrize(
@@ -52,6 +62,21 @@ def test_defaults_are_filled_in(tmp_path):
         ('skip: perhaps', r"skip: expected true or false, got 'perhaps'"),
         ('seed: one', r"seed: expected a whole number ≥ 0, got 'one'"),
         ('seed: -1', r'seed: expected a whole number ≥ 0'),
+        ('kind: wavelet', r"kind 'wavelet': expected one of \['flat', 'graph', 'pod'"),
+        ('kind: [flat]', r"kind \['flat'\]: expected one of"),
+        ('channels: 0', r'channels: expected a whole number ≥ 1, got 0'),
+        ('convolutions: 1', r'convolutions: expected a whole number ≥ 2, got 1'),
+        ('node_features: 1.5', r'node_features: expected a whole number ≥ 1'),
+        ('extra_simulations: -1', r'extra_simulations: expected a whole number ≥ 0, got -1'),
+        ('pod_size: -1', r'pod_size: expected a whole number ≥ 0, got -1'),
+        ('pod_size: true', r'pod_size: expected a whole number ≥ 0, got True'),
+        ('pod_size: 40', r'pod_size 40: expected skip'),
+        ('skip: true\npod_size: 4', r'pod_size 4: .*at least latent_size 5'),
+        ('optimizer: sgd', r"optimizer 'sgd': expected one of \('adam', 'adamw'\)"),
+        ('options: [64]', r'options: expected names and values that JSON can hold, got \[64\]'),
+        ('options: {since: 2020-01-01}', r'options: expected names and values that JSON'),
+        ('options: {rate: .nan}', r'options: expected names and values that JSON'),
+        ('options: {1: 2}', r'options: expected names and values that JSON'),
     ],
 )
 def test_bad_values_are_refused(tmp_path, line, message):

@@ -12,7 +12,7 @@ from dpc_ros.autoencoder import load_checkpoint, training
 from dpc_ros.autoencoder.experiment import state_path, train_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.autoencoder.training import reconstruction_mse, train
-from dpc_ros.data import Condition, Dataset, make_dataset, save_dataset
+from dpc_ros.data import Condition, make_dataset, save_dataset
 from dpc_ros.network import Gravity, save_network
 
 RECIPE = Recipe(
@@ -27,23 +27,9 @@ RECIPE = Recipe(
     schedule='one_cycle',
 )
 PLAIN = replace(RECIPE, name='plain', skip=False, activation='elu', schedule='step', seed=4)
-
-
-@pytest.fixture(scope='module')
-def dataset(small_configurations):
-    """Configurations of the small network; what training must not read is not a number."""
-    train_set, validation = small_configurations[::2].copy(), small_configurations[1::2].copy()
-    nothing = np.full_like(validation, np.nan)
-    return Dataset(
-        train=train_set,
-        validation=validation,
-        test=nothing,
-        test_velocity=nothing,
-        train_simulation=np.zeros(len(train_set), int),
-        validation_simulation=np.zeros(len(validation), int),
-        test_simulation=np.zeros(len(nothing), int),
-        provenance={},
-    )
+POD = replace(RECIPE, name='pod_coordinates', pod_size=6, optimizer='adamw', weight_decay=0.01)
+GRAPH = replace(RECIPE, name='graph', kind='graph', channels=6, convolutions=2, node_features=3)
+RECIPES = [RECIPE, PLAIN, POD, GRAPH]
 
 
 @pytest.fixture
@@ -80,7 +66,7 @@ def assert_same_bits(first, second):
         assert first[name].tobytes() == second[name].tobytes(), name
 
 
-@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+@pytest.mark.parametrize('recipe', RECIPES, ids=lambda recipe: recipe.name)
 def test_training_lowers_the_error(recipe, dataset, small_network):
     short = train(replace(recipe, epochs=1, learning_rate=0.0), small_network, dataset).export()
     long = train(replace(recipe, epochs=40), small_network, dataset).export()
@@ -88,7 +74,7 @@ def test_training_lowers_the_error(recipe, dataset, small_network):
     assert reconstruction_mse(long, dataset.validation) < 0.9 * before
 
 
-@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+@pytest.mark.parametrize('recipe', RECIPES, ids=lambda recipe: recipe.name)
 def test_trained_latents_have_unit_deviation(recipe, dataset, small_network):
     latent = train(recipe, small_network, dataset).export().encode(dataset.train)
     np.testing.assert_allclose(latent.mean(axis=0), 0, atol=1e-8)
@@ -104,7 +90,7 @@ def test_training_repeats_itself_and_follows_its_seed(dataset, small_network):
     )
 
 
-@pytest.mark.parametrize('recipe', [RECIPE, PLAIN], ids=lambda recipe: recipe.name)
+@pytest.mark.parametrize('recipe', RECIPES, ids=lambda recipe: recipe.name)
 @pytest.mark.parametrize('epoch', [1, 2, 5])
 @pytest.mark.usefixtures('saved_every_two_epochs')
 def test_a_training_cut_off_ends_like_an_unbroken_one(

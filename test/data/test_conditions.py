@@ -1,10 +1,13 @@
 """The paper's conditions are read as they are; a bad file names its line."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dpc_ros.data import load_conditions
+from dpc_ros.data.conditions import random_conditions, training_conditions
 from dpc_ros.data.conditions import test_conditions as held_out_conditions
-from dpc_ros.data.conditions import training_conditions
 
 HEADER = 'simulation,split,gravity_m_s2,angle_rad,start\n'
 GOOD = '1,train,9.81,-1.5,rest\n'
@@ -23,6 +26,33 @@ def test_the_papers_test_set_is_28_simulations():
     assert len(measured) == len({c.simulation for c in measured}) == 28
     assert {c.split for c in conditions} == {'test', 'outside'}
     assert {c.start for c in conditions} == {'rest', 'previous_end'}
+
+
+@given(st.integers(1, 60), st.integers(0, 10), st.integers(0, 10_000))
+def test_random_simulations_stay_in_the_papers_range(training, validation, seed):
+    conditions = random_conditions(training, validation, seed)
+    assert [c.split for c in conditions] == ['train'] * training + ['validation'] * validation
+    assert all(3.0 <= c.gravity.magnitude <= 17.0 for c in conditions)
+    assert all(-0.75 * np.pi <= c.gravity.angle <= -0.25 * np.pi for c in conditions)
+    assert conditions[0].start == 'rest'
+    assert {c.start for c in conditions} <= {'rest', 'previous_end'}
+
+
+def test_random_simulations_follow_their_seed():
+    assert random_conditions(20, 5, 3) == random_conditions(20, 5, 3)
+    assert random_conditions(20, 5, 3) != random_conditions(20, 5, 4)
+    # More of them begin with the same ones.
+    gravity = [c.gravity for c in random_conditions(40, 5)]
+    assert [c.gravity for c in random_conditions(20, 5)] == gravity[:25]
+
+
+def test_no_random_simulation_is_one_of_the_papers():
+    papers = [*training_conditions(), *held_out_conditions()]
+    conditions = random_conditions(500, 100)
+    assert {c.gravity for c in conditions}.isdisjoint({c.gravity for c in papers})
+    numbers = {c.simulation for c in conditions}
+    assert len(numbers) == 600
+    assert numbers.isdisjoint({c.simulation for c in papers})
 
 
 def test_reads_a_file(tmp_path):

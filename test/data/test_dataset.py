@@ -6,7 +6,15 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from dpc_ros.data import Condition, load_dataset, make_dataset, save_dataset, thin
+from dpc_ros.data import (
+    Condition,
+    extended_conditions,
+    load_dataset,
+    make_dataset,
+    save_dataset,
+    thin,
+)
+from dpc_ros.data.conditions import training_conditions
 from dpc_ros.network import Gravity, load_network
 
 KEPT = {  # configurations: training, validation
@@ -84,6 +92,20 @@ def test_round_trip_keeps_every_bit(dataset, file):
             assert value.dtype == getattr(dataset, field.name).dtype
     assert loaded.provenance == json.loads(json.dumps(dataset.provenance))
     assert [path.name for path in file.parent.iterdir()] == ['grid.npz']
+
+
+@pytest.mark.parametrize(('extra', 'validation'), [(1, 1), (8, 1), (9, 2), (60, 8)])
+def test_extra_simulations_stand_beside_the_papers(extra, validation):
+    conditions = extended_conditions(extra)
+    assert conditions[:7] == training_conditions()
+    splits = [c.split for c in conditions[7:]]
+    assert splits == ['train'] * extra + ['validation'] * validation
+    assert conditions[7].start == 'rest'
+    assert len({c.simulation for c in conditions}) == len(conditions)
+
+
+def test_no_extra_simulations_leave_the_papers_alone():
+    assert extended_conditions(0) == training_conditions()
 
 
 def refuse(path):

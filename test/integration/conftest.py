@@ -17,7 +17,7 @@ from domain_coordinator import domain_id
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import read_run
 from dpc_ros.control import load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
@@ -171,24 +171,34 @@ def plan(tmp_path):
 
 
 @pytest.fixture(scope='session')
-def reference():
-    """The demonstration's closed loop in one process, without ROS."""
-    single_threaded_algebra()
-    network = load_network('paper_2')
-    mechanics = Mechanics(network)
-    autoencoder = load_checkpoint('paper_2_skip_m5').autoencoder()
-    law = make_law(
-        'reduced_equilibrium', CompressedSystem(mechanics, autoencoder, 162), 2.0, 1.0, 20.0
-    )
-    law.regulate(load_target('simulation:4@100', network))
-    return run_closed_loop(Body(Integrator(mechanics, 0.005), 162), autoencoder, law, 1000)
+def in_process():
+    """Return a function: the demonstration's closed loop in one process, without ROS."""
+
+    def run(checkpoint='paper_2_extended_m5', encoder='network', steps=1000):
+        single_threaded_algebra()
+        network = load_network('paper_2')
+        mechanics = Mechanics(network)
+        autoencoder = with_encoder(load_checkpoint(checkpoint).autoencoder(), encoder)
+        law = make_law(
+            'reduced_equilibrium', CompressedSystem(mechanics, autoencoder, 162), 2.0, 1.0, 20.0
+        )
+        law.regulate(load_target('simulation:4@100', network))
+        return run_closed_loop(Body(Integrator(mechanics, 0.005), 162), autoencoder, law, steps)
+
+    return run
+
+
+@pytest.fixture(scope='session')
+def reference(in_process):
+    """The demonstration as it is."""
+    return in_process()
 
 
 @pytest.fixture
 def assert_repeats(reference):
-    """Assert that a bag holds the in-process run, bit for bit, and return what was read."""
+    """Assert that a bag holds an in-process run, bit for bit, and return what was read."""
 
-    def check(bag: Path):
+    def check(bag: Path, reference=reference):
         run = read_run(bag)
         stamps = np.arange(len(reference.configuration)) * 5_000_000
         for signal_stamps in (run.configuration_stamp, run.latent_stamp, run.force_stamp):

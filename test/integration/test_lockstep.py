@@ -20,6 +20,29 @@ def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, 
     assert (tmp_path / 'run' / 'convergence.png').stat().st_size > 0
 
 
+@pytest.mark.parametrize(
+    ('checkpoint', 'encoder'),
+    [
+        ('paper_2_flat_m2', 'network'),
+        ('paper_2_graph_m5', 'network'),
+        ('paper_2_pod_m5', 'network'),
+        ('paper_2_extended_m5', 'projection'),
+    ],
+)
+def test_every_kind_of_encoder_gives_the_same(
+    domain, tmp_path, assert_repeats, in_process, checkpoint, encoder
+):
+    chosen = [
+        f'--set={node}.{name}={value}'
+        for node in ('encoder', 'controller')
+        for name, value in (('checkpoint', checkpoint), ('encoder', encoder))
+    ]
+    output_folder = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
+    code, output = domain.run('launcher', *output_folder, *chosen)
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag', in_process(checkpoint, encoder, steps=50))
+
+
 def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats):
     executors = [f'--set={kind}.executor=single_threaded' for kind in (*LOOP, 'recorder')]
     code, output = domain.run('launcher', '--output', str(tmp_path / 'run'), *executors)

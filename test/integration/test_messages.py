@@ -88,7 +88,7 @@ def test_encoder_reports_bad_configurations_and_goes_on(domain, observer):
     answer = client.ask(configuration(5, name=NETWORK.coordinate_names))
     assert len(client.answers) == 1
     assert from_stamp(answer.header.stamp) == 5
-    autoencoder = load_checkpoint('paper_2_skip_m5').autoencoder()
+    autoencoder = load_checkpoint('paper_2_extended_m5').autoencoder()
     expected, _ = autoencoder.encoder_jacobian_vector_product(
         NETWORK.rest_configuration, np.zeros(400)
     )
@@ -115,7 +115,7 @@ def test_controller_takes_targets_and_refuses_bad_ones(domain, observer):
     client.connect(JointState, 'latent_state', WrenchStamped, 'control_force')
     targets = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
     observer.wait(lambda: targets.get_subscription_count() > 0, 'the target to be matched')
-    identifier = load_checkpoint('paper_2_skip_m5').identifier
+    identifier = load_checkpoint('paper_2_extended_m5').identifier
 
     def latent(stamp):
         return state_message(to_stamp(stamp), identifier, np.ones(5), np.zeros(5), LATENT_NAMES)

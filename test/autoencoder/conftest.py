@@ -1,0 +1,101 @@
+"""Data, bodies on disk and packages that the tests of autoencoders share."""
+
+import configparser
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpc_ros.data import Condition, Dataset, make_dataset, save_dataset
+from dpc_ros.network import Gravity, save_network
+from dpc_ros.resources import share_directory
+
+CONDITIONS = [
+    Condition(1, 'train', Gravity(9.81), 'rest'),
+    Condition(2, 'validation', Gravity(5.0, 0.3), 'continue'),
+]
+HELD_OUT = [Condition(3, 'test', Gravity(4.0), 'rest')]
+
+
+@pytest.fixture(scope='session')
+def dataset(small_configurations):
+    """Configurations of the small network; what training must not read is not a number."""
+    train_set, validation = small_configurations[::2].copy(), small_configurations[1::2].copy()
+    nothing = np.full_like(validation, np.nan)
+    return Dataset(
+        train=train_set,
+        validation=validation,
+        test=nothing,
+        test_velocity=nothing,
+        train_simulation=np.zeros(len(train_set), int),
+        validation_simulation=np.zeros(len(validation), int),
+        test_simulation=np.zeros(len(nothing), int),
+        provenance={},
+    )
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """A body and its data on disk."""
+
+    network: str
+    data_folder: Path
+    dataset: Dataset
+
+
+@pytest.fixture(scope='session')
+def workplace(tmp_path_factory, small_network):
+    """The small network and its data as files, to be read only."""
+    folder = tmp_path_factory.mktemp('workplace')
+    save_network(small_network, folder / 'grid.json')
+    dataset = make_dataset(small_network, CONDITIONS, HELD_OUT)
+    save_dataset(dataset, folder / 'data' / 'grid.npz')
+    return Workplace(str(folder / 'grid.json'), folder / 'data', dataset)
+
+
+@pytest.fixture
+def install_package(tmp_path, monkeypatch):
+    """Return a function that installs a package of one module as pip would lay it down."""
+    modules = []
+
+    def install(module, code, entry_points):
+        site = tmp_path / f'{module}_site'
+        information = site / f'{module}-1.0.dist-info'
+        information.mkdir(parents=True)
+        (site / f'{module}.py').write_text(code)
+        (information / 'METADATA').write_text(
+            f'Metadata-Version: 2.1\nName: {module}\nVersion: 1\n'
+        )
+        lines = [f'{name} = {value}\n' for name, value in entry_points.items()]
+        (information / 'entry_points.txt').write_text(f'[dpc_ros.autoencoders]\n{"".join(lines)}')
+        monkeypatch.syspath_prepend(site)
+        modules.append(module)
+        return site
+
+    yield install
+    for module in modules:
+        sys.modules.pop(module, None)
+
+
+@pytest.fixture(scope='session')
+def plugins_page():
+    """The blocks of code of the page on plug-ins, by their language."""
+    page = (share_directory() / 'docs/plugins.md').read_text()
+    blocks = dict(re.findall(r'```(\w+)\n(.*?)```', page, re.S))
+    assert blocks.keys() == {'python', 'toml', 'yaml'}
+    return blocks
+
+
+@pytest.fixture
+def tanh_package(install_package, plugins_page):
+    """Install the package that the page on plug-ins shows; the folder that it lies in."""
+    project = configparser.ConfigParser()  # as far as TOML goes here
+    project.read_string(plugins_page['toml'])
+    points = project['project.entry-points."dpc_ros.autoencoders"']
+    (module,) = {value.strip('"').split(':')[0] for value in points.values()}
+    return install_package(
+        module, plugins_page['python'], {name: value.strip('"') for name, value in points.items()}
+    )

@@ -1,0 +1,165 @@
+"""The experiments measure what they say, and the page and its figures follow from the results."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder.recipe import Recipe, load_recipe
+from dpc_ros.autoencoder.training import reconstruction_mse
+from dpc_ros.network import load_network, save_network
+from dpc_ros.paper import commands, compression, mse_table, noise, pointwise, systems, tables
+from dpc_ros.paper.models import Workshop, in_batches, parameters
+from dpc_ros.paper.published import best_test_mse, test_mse
+from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, POD, SYSTEMS, Model
+from dpc_ros.resources import config_path, share_directory
+
+DOCS = share_directory() / 'docs'
+MODELS = {'flat': FLAT, 'graph': GRAPH, 'pod': POD, 'ours': OURS, 'extended': EXTENDED}
+SHIPPED = sorted(path.stem for path in config_path('checkpoints').glob('*.json'))
+
+
+def rows_of(name):
+    return json.loads((DOCS / 'results' / f'{name}.json').read_text())['rows']
+
+
+@pytest.fixture(scope='module')
+def workshop(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('paper')
+    return Workshop(folder / 'data', folder / 'training', progress=False)
+
+
+@pytest.fixture(scope='module')
+def body(tmp_path_factory, small_network):
+    path = tmp_path_factory.mktemp('network') / 'grid.json'
+    save_network(small_network, path)
+    return str(path)
+
+
+def small_model(body):
+    """A model of two candidates, of which the second is hardly trained at all."""
+    recipe = Recipe('first', body, latent_size=2, hidden_sizes=(8,), epochs=3, skip=True)
+    worse = replace(recipe, name='second', skip=False, epochs=1, learning_rate=0.0)
+    return Model('ours', 'best', 'paper', lambda system, m: [worse, recipe])
+
+
+def test_the_best_by_validation_is_taken(workshop, body):
+    trained = workshop.trained(small_model(body), body, 2)
+    assert trained.checkpoint.name == 'first'
+    scores = trained.checkpoint.provenance['scores']
+    worse = load_checkpoint(workshop.training / 'second.json').provenance['scores']
+    assert scores['validation_mse'] < worse['validation_mse']
+    test = workshop.dataset(body).test
+    assert reconstruction_mse(trained.autoencoder(), test) == pytest.approx(scores['test_mse'])
+
+
+def test_what_is_trained_is_not_trained_again(workshop, body):
+    model = small_model(body)
+    path = workshop.training / 'first.json'
+    workshop.trained(model, body, 2)
+    before = path.stat().st_mtime_ns
+    workshop.trained(model, body, 2)
+    assert path.stat().st_mtime_ns == before
+    other = replace(model.candidates(body, 2)[1], seed=9)
+    with pytest.raises(ValueError, match='trained by another recipe'):
+        workshop.trained(replace(model, candidates=lambda system, m: [other]), body, 2)
+
+
+def test_the_projection_is_never_worse_on_average(workshop, body):
+    trained = workshop.trained(small_model(body), body, 2)
+    test = workshop.dataset(body).test[::50]
+    network, projection = (
+        reconstruction_mse(trained.autoencoder(encoder), test)
+        for encoder in ('network', 'projection')
+    )
+    assert projection <= network
+
+
+def test_errors_of_the_pointwise_experiment_vanish_on_the_manifold(workshop, body, mechanics):
+    autoencoder = load_checkpoint('paper_2_pod_m5').autoencoder()
+    rng = np.random.default_rng(0)
+    latent, velocity = rng.normal(size=(2, 5))
+    q, jacobian = autoencoder.decode_with_jacobian(latent)
+    errors = pointwise.state_errors(mechanics, autoencoder, q, jacobian @ velocity)
+    np.testing.assert_allclose(errors, 0, atol=1e-12)
+
+
+def test_batches_are_consecutive_and_whole():
+    frames = np.arange(10)
+    np.testing.assert_array_equal(np.concatenate(list(in_batches(frames, 4))), frames)
+    assert [len(batch) for batch in in_batches(frames, 4)] == [4, 4, 2]
+
+
+@pytest.mark.parametrize('name', SHIPPED)
+def test_shipped_checkpoints_are_those_of_the_experiments(name):
+    checkpoint = load_checkpoint(name)
+    system, model, size = name.rsplit('_', 2)
+    checkpoint.check_network(load_network(system))
+    (recipe,) = MODELS[model].candidates(system, int(size.removeprefix('m')))
+    assert Recipe(**checkpoint.provenance['recipe']) == recipe
+
+
+@pytest.mark.parametrize(
+    'name', sorted(path.stem for path in config_path('training').glob('*.yaml'))
+)
+def test_shipped_recipes_are_those_of_the_experiments(name):
+    system, model, size = name.rsplit('_', 2)
+    (recipe,) = MODELS[model].candidates(system, int(size.removeprefix('m')))
+    assert load_recipe(name) == recipe
+
+
+def test_ours_is_smaller_than_the_papers_flat_model():
+    ours, flat = (load_checkpoint(f'paper_2_{name}') for name in ('extended_m5', 'flat_m2'))
+    assert parameters(ours) < parameters(flat) / 3
+    assert parameters(load_checkpoint('paper_2_graph_m5')) == 54217
+    assert parameters(load_checkpoint('paper_2_pod_m5')) == 5 * 400
+
+
+def test_published_values_are_found():
+    assert test_mse('paper_4', 'graph', 5) == 9.71e-4
+    assert test_mse('paper_4', 'ours', 5) is None
+    for system in SYSTEMS:
+        for size in (2, 3, 4, 5):
+            values = [test_mse(system, model, size) for model in ('flat', 'graph')]
+            assert best_test_mse(system, size) == min(values)
+    assert best_test_mse('paper_1', 8) is None
+
+
+def test_tables_of_the_page_are_those_of_the_results():
+    page = (DOCS / tables.PAGE).read_text()
+    assert tables.with_tables(page, DOCS / 'results') == page
+
+
+def test_a_page_that_asks_for_an_unknown_table_is_refused():
+    page = '<!-- table nothing from systems -->\n<!-- end -->'
+    with pytest.raises(ValueError, match="no table 'nothing'"):
+        tables.with_tables(page, DOCS / 'results')
+
+
+@pytest.mark.parametrize(
+    ('name', 'module'),
+    [
+        ('mse_table', mse_table),
+        ('compression', compression),
+        ('noise', noise),
+        ('pointwise', pointwise),
+        ('systems', systems),
+    ],
+)
+def test_figures_are_drawn_from_the_results(tmp_path, name, module):
+    path = tmp_path / 'figure.png'
+    module.draw(rows_of(name), path)
+    assert path.read_bytes().startswith(b'\x89PNG')
+
+
+def test_unknown_experiments_are_refused(workshop, tmp_path):
+    with pytest.raises(ValueError, match="no experiment 'nothing'"):
+        commands.run('nothing', workshop, tmp_path)
+
+
+def test_the_command_names_every_experiment():
+    from dpc_ros.cli import PAPER_EXPERIMENTS
+
+    assert commands.NAMES == PAPER_EXPERIMENTS
