@@ -93,7 +93,12 @@ def trained_checkpoint(
         train_checkpoint(recipe, folder, data_folder, progress=progress, on_epoch=on_epoch)
     checkpoint = load_checkpoint(path)
     checkpoint.check_network(load_network(recipe.network))
-    stored = Recipe(**checkpoint.provenance['recipe'])
+    try:
+        stored = Recipe(**checkpoint.provenance['recipe'])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f'{path}: expected a recipe that this dpc_ros knows, but {error!r}: move the file away'
+        ) from error
     if stored != recipe:
         raise ValueError(
             f'{path} was trained by another recipe than the one asked for: {stored} is not '

@@ -77,7 +77,7 @@ def load_plugin(name: str) -> Callable[..., Any]:
     point = _registered()[name]
     try:
         return point.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # whatever goes wrong in code that is not ours
         raise KindError(f'kind {name!r}: {point.value} can not be loaded, {error}') from error
 
 

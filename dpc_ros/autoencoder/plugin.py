@@ -31,7 +31,7 @@ class PluginModule(AutoencoderModule):
         plugin = load_plugin(architecture.kind)
         try:
             self.plugin = plugin(n, m, **architecture.options)
-        except TypeError as error:
+        except Exception as error:  # whatever goes wrong in code that is not ours
             raise ValueError(f'kind {architecture.kind!r}: {error}') from error
         _check_maps(architecture, self.plugin)
 

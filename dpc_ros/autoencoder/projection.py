@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dpc_ros.autoencoder.base import Autoencoder
 
 ENCODERS = ('network', 'projection')
 ITERATIONS = 20
-_TOLERANCE = 1e-12  # of the step, in latent units squared
+_TOLERANCE = 1e-10  # norm of a step that ends the search, in latent units
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-12  # of JᵀJ's mean diagonal
 _GROWTH, _DECAY = 10.0, 0.1
 _CHUNK = 256  # configurations that are projected at a time
@@ -36,8 +37,8 @@ def with_encoder(
 class ProjectionAutoencoder(Autoencoder):
     """ξ = argmin |D(ξ) − q|² in place of a trained encoder, by damped Gauss–Newton.
 
-    The best that any encoder can do for this decoder: D(ξ) is the point of the manifold nearest to
-    q, and noise that is normal to the manifold is rejected altogether. It starts from the trained
+    D(ξ) is the point of the manifold nearest to q, at least of those around the start; small noise
+    normal to the manifold is rejected. It starts from the trained
     encoder's ξ, or from a guess where that is nearer, and takes a bounded number of steps.
     (Levenberg–Marquardt; Nocedal and Wright, Numerical Optimization, section 10.3.)
 
@@ -82,14 +83,21 @@ class ProjectionAutoencoder(Autoencoder):
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
         """Return ξ and ξ̇ = (JᵀJ + Σ_i (D_i(ξ) − q_i) ∂²D_i/∂ξ²)⁻¹ Jᵀ q̇.
 
-        The matrix is the Hessian of ½|D(ξ) − q|²: ξ̇ is the exact derivative of the projection
-        along q̇, by the implicit function theorem.
+        The matrix is the Hessian of ½|D(ξ) − q|². Where the search has ended in a strict minimum,
+        ξ̇ is the exact derivative of the projection along q̇, by the implicit function theorem.
+        Where the Hessian is not positive definite, its Gauss–Newton part stands in for it: the
+        least-squares velocity of the manifold.
         """
         start = self._start(configuration, guess)
         latent = self._project(configuration[None], start[None])[0]
         decoded, jacobian = self._autoencoder.decode_with_jacobian(latent)
         bend = self._autoencoder.decoder_curvature(latent, decoded - configuration)
-        return latent, np.linalg.solve(jacobian.T @ jacobian + bend, jacobian.T @ velocity)
+        normal = jacobian.T @ jacobian
+        try:
+            factor = cho_factor(normal + bend)
+        except LinAlgError:
+            return latent, np.linalg.lstsq(jacobian, velocity, rcond=None)[0]
+        return latent, cho_solve(factor, jacobian.T @ velocity)
 
     def decode_with_jacobian(
         self, latent: Float[np.ndarray, '*batch m']

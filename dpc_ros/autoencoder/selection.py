@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
@@ -98,13 +99,16 @@ def select(
         validation_mse.
 
     Raises:
-        ValueError: there is no recipe, names repeat, networks differ, or a training fails.
+        ValueError: there is no recipe, names repeat, networks differ, parallel is not positive, or
+            a training fails.
         ConnectionError: there is no cluster at the address.
     """
     if not recipes or len({recipe.name for recipe in recipes}) != len(recipes):
         raise ValueError('recipes: expected at least one, and different names')
     if len({(recipe.network, recipe.extra_simulations) for recipe in recipes}) != 1:
         raise ValueError('recipes: expected all of one network and its data')
+    if parallel is not None and parallel < 1:
+        raise ValueError(f'parallel: expected at least 1 training at a time, got {parallel}')
     folder, data_folder = folder.absolute(), data_folder.absolute()
     # Once, before many trainings would make them side by side.
     first = recipes[0]
@@ -149,6 +153,8 @@ def _run(
     early_stopping: bool,
     progress: bool,
 ) -> list[dict[str, Any]]:
+    # Tune's own handler would end the search on Ctrl-C as if it were done.
+    os.environ['TUNE_DISABLE_SIGINT_HANDLER'] = '1'
     by_name = {recipe.name: recipe for recipe in recipes}
     scheduler = None
     if early_stopping:

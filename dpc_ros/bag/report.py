@@ -79,12 +79,11 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
             f'checkpoint: expected that of the log, {run.autoencoder_identifier}, got '
             f'{found.identifier}: name the one that the run was made with'
         )
-    try:
-        return with_encoder(
-            found.autoencoder(), _parameters(run, 'encoder').get('encoder', 'network')
-        )
-    except ValueError:
-        return found.autoencoder()
+    parameters = _parameters(run, 'encoder')
+    encoder, iterations = parameters.get('encoder'), parameters.get('projection_iterations')
+    if encoder == 'projection' and isinstance(iterations, int):
+        return with_encoder(found.autoencoder(), encoder, iterations)
+    return found.autoencoder()
 
 
 def _gravity(run: Run) -> Gravity | None:

@@ -12,7 +12,7 @@ from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.network import load_network
 from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
 from dpc_ros.paper.models import Workshop
-from dpc_ros.paper.published import COMPRESSION, MSE, test_mse
+from dpc_ros.paper.published import test_mse, test_mse_by_latent_size
 from dpc_ros.paper.recipes import FLAT, GRAPH, OURS, POD, SYSTEMS, Model
 
 _WHOLE_RANGE = tuple(range(1, 9))
@@ -26,7 +26,7 @@ def latent_sizes(model: Model, system: str) -> tuple[int, ...]:
     """Return the latent sizes at which a model is trained on a system."""
     if model is GRAPH:
         return (2, 3, 5) if system == _SYSTEM else (5,)
-    return _WHOLE_RANGE if system == _SYSTEM or model is POD else (2, 3, 5)
+    return _WHOLE_RANGE if system == _SYSTEM else (2, 3, 5)
 
 
 def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict[str, Any]]:
@@ -61,7 +61,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             sizes = [row['latent_size'] for row in chosen]
             errors = [row['test_mse'] for row in chosen]
             panel.plot(sizes, errors, 'o-', color=COLOURS[name], ms=4, lw=1.3, label=name)
-            published = _published(system, name)
+            published = sorted(test_mse_by_latent_size(system, name).items())
             label = f'{name}, published'
             if published:
                 panel.plot(*zip(*published, strict=True), 'x', color=COLOURS[name], label=label)
@@ -99,10 +99,3 @@ def draw_paths(workshop: Workshop, path: Path) -> None:
     labels = ['simulated', 'reconstructed']
     figure.legend([true[0], ours[0]], labels, loc='outside upper center', ncols=2, frameon=False)
     save_figure(figure, path)
-
-
-def _published(system: str, model: str) -> list[tuple[int, float]]:
-    values = dict(COMPRESSION.get((system, model), {}))
-    if (system, model) in MSE:
-        values[5] = MSE[system, model][2]
-    return sorted(values.items())

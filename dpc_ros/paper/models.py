@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,20 @@ import numpy as np
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, with_encoder
 from dpc_ros.autoencoder.experiment import dataset_for, trained_checkpoint
 from dpc_ros.data import Dataset
+from dpc_ros.data.conditions import test_conditions
+from dpc_ros.data.dataset import TEST_STRIDE
+from dpc_ros.data.simulations import DURATION, STEP
+from dpc_ros.data.thinning import THINNING_DISTANCE
 from dpc_ros.network import load_network
 from dpc_ros.paper.recipes import Model
 
+_AS_THE_PAPER = {
+    'duration_s': DURATION,
+    'step_s': STEP,
+    'integrator': 'rk4',
+    'thinning_distance_m': THINNING_DISTANCE,
+    'test_stride': TEST_STRIDE,
+}
 # Normalisation is a change of units and no parameter of the model; neither is the graph.
 _NO_PARAMETERS = {
     'configuration_mean',
@@ -47,6 +58,8 @@ class Workshop:
             trained_checkpoint(recipe, self.training, self.data, self.progress)
             for recipe in model.candidates(system, latent_size)
         ]
+        for checkpoint in checkpoints:
+            _check_data(checkpoint.name, checkpoint.provenance['data'])
         best = min(checkpoints, key=lambda each: each.provenance['scores']['validation_mse'])
         return Trained(model, system, latent_size, best)
 
@@ -97,4 +110,18 @@ def in_batches(frames: np.ndarray, size: int) -> Iterator[np.ndarray]:
 
 @lru_cache(maxsize=1)  # a quarter of a gigabyte each
 def _paper_dataset(workshop: Workshop, system: str) -> Dataset:
-    return dataset_for(load_network(system), workshop.data, progress=workshop.progress)
+    dataset = dataset_for(load_network(system), workshop.data, progress=workshop.progress)
+    _check_data(f'the data of {system} in {workshop.data}', dataset.provenance)
+    return dataset
+
+
+def _check_data(what: str, provenance: dict[str, Any]) -> None:
+    """Make sure that data were made as the paper's: same step, integrator, thinning, test."""
+    found = {key: provenance[key] for key in _AS_THE_PAPER}
+    held_out = [each for each in provenance['conditions'] if each['split'] in ('test', 'outside')]
+    papers = [asdict(condition) for condition in test_conditions()]
+    if found != _AS_THE_PAPER or held_out != papers:
+        raise ValueError(
+            f'{what}: expected data by the defaults of `dpc simulate`, {_AS_THE_PAPER}, and the '
+            f'test conditions of the paper, got {found}: move them away'
+        )

@@ -29,7 +29,7 @@ def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict
     """Return one row for every system, model, encoder and σ; errors of D(E(q + ε)) against q [m²].
 
     Each tenth frame of the test simulations is taken, under the same noise for every model.
-    `floor` is σ²m/n, what is left of the noise by an exact projection onto m dimensions.
+    `projected_noise` is σ²m/n, what an orthogonal projection onto m dimensions leaves of the noise.
     """
     rows = []
     for system in systems:
@@ -49,7 +49,7 @@ def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict
                         'sigma_m': sigma,
                         'frames': len(frames),
                         'test_mse': float(np.mean((decoded - frames) ** 2)),
-                        'floor': sigma**2 * LATENT_SIZE / frames.shape[1],
+                        'projected_noise': sigma**2 * LATENT_SIZE / frames.shape[1],
                         'paper_test_mse': paper,
                     }
                 )
@@ -64,8 +64,8 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     curves = (
         ('flat', 'paper', 'network', 'flat', COLOURS['flat'], 'o-'),
         ('graph', 'paper', 'network', 'graph', COLOURS['graph'], 'o-'),
-        ('ours', 'extended', 'network', 'ours', COLOURS['ours'], 'o-'),
-        ('ours', 'extended', 'projection', 'ours, projection', COLOURS['projection'], 's-'),
+        ('ours', 'extended', 'network', 'ours, more data', COLOURS['ours'], 'o-'),
+        ('ours', 'extended', 'projection', '… and projection', COLOURS['projection'], 's-'),
     )
     for panel, system in zip(panels, systems, strict=True):
         for model, data, encoder, label, colour, style in curves:
@@ -77,8 +77,8 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             if model != 'ours':
                 published = [row['paper_test_mse'] for row in chosen]
                 panel.loglog(sigma, published, ':', color=colour, label=f'{label}, published')
-        floor = [row['floor'] for row in chosen]
-        panel.loglog(sigma, floor, '--', color=COLOURS['paper'], lw=1, label='floor σ²m/n')
+        left = [row['projected_noise'] for row in chosen]
+        panel.loglog(sigma, left, '--', color=COLOURS['paper'], lw=1, label='σ²m/n')
         panel.set(title=f'system {system[-1]}', xlabel='noise σ [m]')
         tidy(panel)
     panels[0].set_ylabel('MSE against the true configuration [m²]')

@@ -9,7 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from dpc_ros.files import replacing
-from dpc_ros.paper.published import MSE, NOISE_DEVIATIONS, best_test_mse
+from dpc_ros.paper.published import (
+    MSE,
+    NOISE_DEVIATIONS,
+    best_test_mse,
+    test_mse_by_latent_size,
+)
 
 Rows = list[dict[str, Any]]
 PAGE = 'experiments.md'
@@ -145,9 +150,9 @@ def _compression(rows: Rows) -> str:
     for system, model in dict.fromkeys((row['system'], row['model']) for row in rows):
         mine = [row for row in rows if (row['system'], row['model']) == (system, model)]
         errors = {row['latent_size']: row['test_mse'] for row in mine}
-        published = {row['latent_size']: row['paper_test_mse'] for row in mine}
+        published = test_mse_by_latent_size(system, model)
         body.append([system[-1], model, *(_number(errors.get(m)) for m in sizes)])
-        if any(value is not None for value in published.values()):
+        if published:
             body.append(['', 'published', *(_number(published.get(m)) for m in sizes)])
     return _markdown(header, body)
 

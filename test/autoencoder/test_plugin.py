@@ -64,7 +64,7 @@ def assert_same_bits(first, second):
 
 
 def test_recipe_of_the_page_makes_the_module_of_the_page(tanh_package, plugins_page, tmp_path):
-    path = tmp_path / 'mine_m5.yaml'
+    path = tmp_path / 'tanh_m5.yaml'
     path.write_text(plugins_page['yaml'])
     recipe = load_recipe(path)
     module = untrained_module(recipe, load_network(recipe.network))

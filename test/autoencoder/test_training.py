@@ -29,7 +29,8 @@ RECIPE = Recipe(
 PLAIN = replace(RECIPE, name='plain', skip=False, activation='elu', schedule='step', seed=4)
 POD = replace(RECIPE, name='pod_coordinates', pod_size=6, optimizer='adamw', weight_decay=0.01)
 GRAPH = replace(RECIPE, name='graph', kind='graph', channels=6, convolutions=2, node_features=3)
-RECIPES = [RECIPE, PLAIN, POD, GRAPH]
+NOISY = replace(RECIPE, name='noisy', input_noise=0.02)
+RECIPES = [RECIPE, PLAIN, POD, GRAPH, NOISY]
 
 
 @pytest.fixture
@@ -72,6 +73,19 @@ def test_training_lowers_the_error(recipe, dataset, small_network):
     long = train(replace(recipe, epochs=40), small_network, dataset).export()
     before = reconstruction_mse(short, dataset.validation)
     assert reconstruction_mse(long, dataset.validation) < 0.9 * before
+
+
+@pytest.mark.parametrize('recipe', [RECIPE, POD], ids=lambda recipe: recipe.name)
+def test_noise_on_the_input_teaches_the_encoder_to_reject_it(recipe, dataset, small_network):
+    noise = 0.1  # m, of the order of the body's motion
+    recipe = replace(recipe, epochs=60)
+    disturbance = np.random.default_rng(0).normal(scale=noise, size=dataset.validation.shape)
+    errors = []
+    for input_noise in (0.0, noise):
+        trained = train(replace(recipe, input_noise=input_noise), small_network, dataset).export()
+        decoded = trained.decode(trained.encode(dataset.validation + disturbance))
+        errors.append(np.mean((decoded - dataset.validation) ** 2))
+    assert errors[1] < 0.9 * errors[0]
 
 
 @pytest.mark.parametrize('recipe', RECIPES, ids=lambda recipe: recipe.name)
