@@ -12,7 +12,7 @@ from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.network import load_network
 from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
 from dpc_ros.paper.models import Workshop
-from dpc_ros.paper.published import test_mse, test_mse_by_latent_size
+from dpc_ros.paper.published import published_mse, published_mse_by_size
 from dpc_ros.paper.recipes import FLAT, GRAPH, OURS, POD, SYSTEMS, Model
 
 _WHOLE_RANGE = tuple(range(1, 9))
@@ -25,7 +25,7 @@ _SHOWN_SIZES = (1, 2, 3, 5)
 def latent_sizes(model: Model, system: str) -> tuple[int, ...]:
     """Return the latent sizes at which a model is trained on a system."""
     if model is GRAPH:
-        return (2, 3, 5) if system == _SYSTEM else (5,)
+        return (5,)
     return _WHOLE_RANGE if system == _SYSTEM else (2, 3, 5)
 
 
@@ -44,7 +44,7 @@ def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict
                     **trained.columns(),
                     'validation_mse': trained.checkpoint.provenance['scores']['validation_mse'],
                     'test_mse': reconstruction_mse(trained.autoencoder(), test),
-                    'paper_test_mse': test_mse(system, model.name, m),
+                    'paper_test_mse': published_mse(system, model.name, m),
                 }
             )
     return rows
@@ -61,7 +61,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             sizes = [row['latent_size'] for row in chosen]
             errors = [row['test_mse'] for row in chosen]
             panel.plot(sizes, errors, 'o-', color=COLOURS[name], ms=4, lw=1.3, label=name)
-            published = sorted(test_mse_by_latent_size(system, name).items())
+            published = sorted(published_mse_by_size(system, name).items())
             label = f'{name}, published'
             if published:
                 panel.plot(*zip(*published, strict=True), 'x', color=COLOURS[name], label=label)

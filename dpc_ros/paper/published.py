@@ -50,12 +50,12 @@ NOISE: dict[tuple[str, str], tuple[float, ...]] = {
 }
 
 
-def test_mse(system: str, model: str, latent_size: int) -> float | None:
+def published_mse(system: str, model: str, latent_size: int) -> float | None:
     """Return the published test error of a flat or graph autoencoder [m²], if there is one."""
-    return test_mse_by_latent_size(system, model).get(latent_size)
+    return published_mse_by_size(system, model).get(latent_size)
 
 
-def test_mse_by_latent_size(system: str, model: str) -> dict[int, float]:
+def published_mse_by_size(system: str, model: str) -> dict[int, float]:
     """Return every published test error of a model on a system [m²], by latent size."""
     values = dict(COMPRESSION.get((system, model), {}))
     if (system, model) in MSE:
@@ -65,9 +65,5 @@ def test_mse_by_latent_size(system: str, model: str) -> dict[int, float]:
 
 def best_test_mse(system: str, latent_size: int) -> float | None:
     """Return the better of the published test errors at a latent size [m²], none if none is."""
-    published = [test_mse(system, model, latent_size) for model in ('flat', 'graph')]
+    published = [published_mse(system, model, latent_size) for model in ('flat', 'graph')]
     return min((value for value in published if value is not None), default=None)
-
-
-for _function in (test_mse, test_mse_by_latent_size):  # pytest takes them for tests
-    _function.__test__ = False  # type: ignore[attr-defined]

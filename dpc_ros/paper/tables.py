@@ -13,7 +13,7 @@ from dpc_ros.paper.published import (
     MSE,
     NOISE_DEVIATIONS,
     best_test_mse,
-    test_mse_by_latent_size,
+    published_mse_by_size,
 )
 
 Rows = list[dict[str, Any]]
@@ -150,7 +150,7 @@ def _compression(rows: Rows) -> str:
     for system, model in dict.fromkeys((row['system'], row['model']) for row in rows):
         mine = [row for row in rows if (row['system'], row['model']) == (system, model)]
         errors = {row['latent_size']: row['test_mse'] for row in mine}
-        published = test_mse_by_latent_size(system, model)
+        published = published_mse_by_size(system, model)
         body.append([system[-1], model, *(_number(errors.get(m)) for m in sizes)])
         if published:
             body.append(['', 'published', *(_number(published.get(m)) for m in sizes)])

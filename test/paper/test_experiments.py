@@ -12,7 +12,7 @@ from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.network import load_network, save_network
 from dpc_ros.paper import commands, compression, mse_table, noise, pointwise, systems, tables
 from dpc_ros.paper.models import Workshop, in_batches, parameters
-from dpc_ros.paper.published import best_test_mse, test_mse
+from dpc_ros.paper.published import best_test_mse, published_mse
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, POD, SYSTEMS, Model
 from dpc_ros.resources import config_path, share_directory
 
@@ -118,11 +118,11 @@ def test_ours_is_smaller_than_the_papers_flat_model():
 
 
 def test_published_values_are_found():
-    assert test_mse('paper_4', 'graph', 5) == 9.71e-4
-    assert test_mse('paper_4', 'ours', 5) is None
+    assert published_mse('paper_4', 'graph', 5) == 9.71e-4
+    assert published_mse('paper_4', 'ours', 5) is None
     for system in SYSTEMS:
         for size in (2, 3, 4, 5):
-            values = [test_mse(system, model, size) for model in ('flat', 'graph')]
+            values = [published_mse(system, model, size) for model in ('flat', 'graph')]
             assert best_test_mse(system, size) == min(values)
     assert best_test_mse('paper_1', 8) is None
 
