@@ -101,7 +101,6 @@ def _small(rows: Rows) -> str:
         columns = [
             (f'flat, m = {m}', 'flat', 'paper', 'network', m),
             (f'ours, m = {m}', 'ours', 'paper', 'network', m),
-            ('with projection', 'ours', 'paper', 'projection', m),
         ]
         tables.append(_by_system(rows, m, columns, ratio_of=1))
     return '\n'.join(tables)
