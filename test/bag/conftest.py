@@ -130,11 +130,13 @@ class LinearAutoencoder(Autoencoder):
     def decode(self, latent):
         return latent @ self.matrix.T
 
-    def encoder_jacobian_vector_product(self, configuration, velocity):
+    def encoder_jacobian_vector_product(self, configuration, velocity, guess=None):
         return self.encode(configuration), self.encode(velocity)
 
-    def decoder_jacobian(self, latent):
-        return self.matrix
+    def decode_with_jacobian(self, latent):
+        return self.decode(latent), np.broadcast_to(
+            self.matrix, (*latent.shape[:-1], *self.matrix.shape)
+        )
 
     def decoder_curvature(self, latent, weight):
         return np.zeros((self.latent_size, self.latent_size))

@@ -56,7 +56,9 @@ def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tm
 
 
 def test_a_recorder_ends_beside_a_running_loop(domain, observer, plan, tmp_path):
-    made = plan(record=False, simulator={'duration': 0.0})
+    # The simulator waits for the recorder's subscription: a fast loop would outrun its discovery.
+    readers = ['encoder', 'recorder']
+    made = plan(record=False, simulator={'duration': 0.0, 'expected_subscribers': readers})
     seen = []
     observer.node.create_subscription(JointState, 'configuration', seen.append, LOOP_QOS)
     recorder = domain.start('recorder_node', '--ros-args', '-p', f'bag:={tmp_path / "bag"}')
