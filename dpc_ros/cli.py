@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 
 from dpc_ros import __version__
@@ -20,20 +22,34 @@ PAPER_EXPERIMENTS = (
     'tables',
 )
 NETWORK_FOLDER = Path('runs/networks')
+
+
+def number(text: str) -> float:
+    """Return a number that may be written as a fraction, 1/205.
+
+    Raises:
+        ValueError: the text is no number, or none of finite size.
+    """
+    try:
+        return float(Fraction(text))
+    except (ZeroDivisionError, OverflowError) as error:
+        raise ValueError(f'expected a number or a fraction, got {text!r}') from error
+
+
 # Fields of GeneratorSettings that `dpc generate` sets: type, default, what they are.
-GENERATOR_OPTIONS = {
+GENERATOR_OPTIONS: dict[str, tuple[Callable[[str], float], str, str]] = {
     'squares': (int, '7', 'square pieces'),
     'triangles': (int, '6', 'triangular pieces'),
     'width': (int, '5', 'masses along a side of a piece'),
-    'lateral_probability': (float, '0.3', 'that a lateral begins at a free side'),
-    'lateral_decay': (float, '0.6', 'factor on it with each piece of the lateral'),
-    'spacing': (float, '0.3', 'distance of neighbouring masses [m]'),
-    'mass': (float, '1/205', 'of each point [kg]'),
-    'stiffness': (float, '50', 'of edges [N/m]'),
-    'diagonal_stiffness': (float, '100', 'of diagonals of squares [N/m]'),
-    'damping_coefficient': (float, '0.1', 'of every spring [N·s/m]'),
-    'background_stiffness': (float, '0.2', 'k_s [N/m]'),
-    'background_rest_fraction': (float, '1/205', 'c'),
+    'lateral_probability': (number, '0.3', 'that a lateral begins at a free side'),
+    'lateral_decay': (number, '0.6', 'factor on it with each piece of the lateral'),
+    'spacing': (number, '0.3', 'distance of neighbouring masses [m]'),
+    'mass': (number, '1/205', 'of each point [kg]'),
+    'stiffness': (number, '50', 'of edges [N/m]'),
+    'diagonal_stiffness': (number, '100', 'of diagonals of squares [N/m]'),
+    'damping_coefficient': (number, '0.1', 'of every spring [N·s/m]'),
+    'background_stiffness': (number, '0.2', 'k_s [N/m]'),
+    'background_rest_fraction': (number, '1/205', 'c'),
 }
 
 

@@ -1,7 +1,7 @@
 """The body: a planar mass-spring-damper network, its mechanics and its integration in time."""
 
 from dpc_ros.network.body import Body
-from dpc_ros.network.drawing import draw_figure, draw_network
+from dpc_ros.network.drawing import draw_figure, draw_network, draw_springs
 from dpc_ros.network.generator import GeneratorSettings, generate_network
 from dpc_ros.network.integration import INTEGRATORS, Integrator, Trajectory, simulate
 from dpc_ros.network.mass_spring_network import (
@@ -27,6 +27,7 @@ __all__ = [
     'Trajectory',
     'draw_figure',
     'draw_network',
+    'draw_springs',
     'generate_network',
     'load_network',
     'save_network',

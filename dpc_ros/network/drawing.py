@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,13 +44,11 @@ def draw_network(
         NetworkError: the configuration is not one of this network, or not finite.
     """
     # Half a second to import, which nobody who only simulates need wait for.
-    from matplotlib.collections import LineCollection
     from matplotlib.patheffects import withStroke
 
     position = _position(network, configuration)
-    springs = list(position[network.springs])
-    label = f'springs ({len(springs)})'
-    axes.add_collection(LineCollection(springs, colors=_SPRING, lw=0.7, label=label))
+    label = f'springs ({len(network.springs)})'
+    draw_springs(network, axes, configuration, color=_SPRING, lw=0.7, label=label)
     size = float(np.clip(40 / np.sqrt(len(position)), 1.5, 6.0))  # points
     for masses, colour, marker, scale, label in (
         (network.mobile, _MOBILE, 'o', 1.0, f'mobile masses ({len(network.mobile)})'),
@@ -78,6 +76,29 @@ def draw_network(
     axes.spines[['top', 'right']].set_visible(False)
     if legend:
         axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize='small')
+
+
+def draw_springs(
+    network: MassSpringNetwork,
+    axes: Axes,
+    configuration: Float[np.ndarray, ' n'] | None = None,
+    **style: Any,
+) -> None:
+    """Draw the springs only, without touching the axes' limits.
+
+    Args:
+        network: the body.
+        axes: of a matplotlib figure.
+        configuration: q to draw it in [m], at rest where left out.
+        style: of a matplotlib `LineCollection`: color, lw, label, …
+
+    Raises:
+        NetworkError: the configuration is not one of this network, or not finite.
+    """
+    from matplotlib.collections import LineCollection
+
+    position = _position(network, configuration)
+    axes.add_collection(LineCollection(list(position[network.springs]), **style))
 
 
 def draw_figure(

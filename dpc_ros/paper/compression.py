@@ -15,7 +15,7 @@ from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.published import published_mse, published_mse_by_size
 from dpc_ros.paper.recipes import FLAT, GRAPH, OURS, POD, SYSTEMS, Model
 
-_WHOLE_RANGE = (1, 2, 3, 4, 5, 8)
+_WHOLE_RANGE = tuple(range(1, 9))
 _SYSTEM = 'paper_2'  # measured at every latent size
 _MASSES = (204, 162, 100)  # whose paths are drawn
 _SIMULATION = 14  # of the test: from rest under the strongest gravity
@@ -24,9 +24,9 @@ _SHOWN_SIZES = (1, 2, 3, 5)
 
 def latent_sizes(model: Model, system: str) -> tuple[int, ...]:
     """Return the latent sizes at which a model is trained on a system."""
-    if model is GRAPH:
-        return (5,)
-    return _WHOLE_RANGE if system == _SYSTEM else (2, 3, 5)
+    if system == _SYSTEM:
+        return (2, 3, 5) if model is GRAPH else _WHOLE_RANGE
+    return (5,) if model is GRAPH else (2, 3, 5)
 
 
 def measure(workshop: Workshop, systems: tuple[str, ...] = SYSTEMS) -> list[dict[str, Any]]:
@@ -78,7 +78,7 @@ def draw_paths(workshop: Workshop, path: Path) -> None:
     """Draw the paths of a few masses in one test simulation, by latent size."""
     network, dataset = load_network(_SYSTEM), workshop.dataset(_SYSTEM)
     frames = dataset.test[dataset.test_simulation == _SIMULATION]
-    figure = new_figure(3.2 * len(_SHOWN_SIZES), 6.4)
+    figure = new_figure(3.2 * len(_SHOWN_SIZES), 4.8)
     panels = figure.subplots(2, len(_SHOWN_SIZES), sharex=True, sharey=True)
     for model, row in zip((FLAT, OURS), panels, strict=True):
         for m, panel in zip(_SHOWN_SIZES, row, strict=True):

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from dpc_ros.data import Dataset
-from dpc_ros.network import MassSpringNetwork, load_network
+from dpc_ros.network import MassSpringNetwork, draw_springs, load_network
 from dpc_ros.paper.figure import new_figure, save_figure
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.recipes import FLAT, SYSTEMS
@@ -60,9 +60,11 @@ def draw(workshop: Workshop, system: str, path: Path) -> None:
     for name, variable, change, reference, altered in _alterations(workshop, system):
         panel = panels[variable, names.index(name)]
         label = f'{change:+.0%}'
-        _springs(panel, network, altered, colours[CHANGES.index(change)], 0.5, label)
+        colour = colours[CHANGES.index(change)]
+        draw_springs(network, panel, altered, color=colour, lw=0.5, label=label)
         if change == CHANGES[-1]:
-            _springs(panel, network, reference, '#e69f00', 0.9, 'decoded, unaltered')
+            style = {'color': '#e69f00', 'lw': 0.9, 'label': 'decoded, unaltered'}
+            draw_springs(network, panel, reference, **style)
             panel.set_title(f'{name}, ξ{"₀₁"[variable]}', fontsize='medium')
             panel.set_aspect('equal')
             panel.autoscale_view()
@@ -106,19 +108,3 @@ def _alterations(workshop: Workshop, system: str) -> list[tuple]:
                 decoded = autoencoder.decode(altered)
                 alterations.append((name, variable, change, reference, decoded))
     return alterations
-
-
-def _springs(
-    panel: Any,
-    network: MassSpringNetwork,
-    configuration: np.ndarray,
-    colour: str,
-    lw: float,
-    label: str,
-) -> None:
-    from matplotlib.collections import LineCollection
-
-    position = network.rest_position.copy()
-    position[network.mobile] = configuration.reshape(-1, 2)
-    springs = list(position[network.springs])
-    panel.add_collection(LineCollection(springs, colors=colour, lw=lw, label=label))

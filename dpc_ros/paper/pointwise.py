@@ -117,12 +117,10 @@ def state_errors(
     latent, latent_velocity = autoencoder.encoder_jacobian_vector_product(configuration, velocity)
     decoded, jacobian = autoencoder.decode_with_jacobian(latent)
     decoded_velocity = jacobian @ latent_velocity
-    energies = [
-        mechanics.kinetic_energy(v) + mechanics.potential(q)
-        for q, v in ((configuration, velocity), (decoded, decoded_velocity))
-    ]
+    energy = mechanics.total_energy(configuration, velocity)
+    decoded_energy = mechanics.total_energy(decoded, decoded_velocity)
     return (
         float(np.mean((decoded - configuration) ** 2)),
         float(np.mean((decoded_velocity - velocity) ** 2)),
-        (energies[1] - energies[0]) ** 2,
+        (decoded_energy - energy) ** 2,
     )

@@ -48,10 +48,10 @@ class CompressedSystem:
 
     def damping_matrix(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'm m']:
         """Return Δ = JᵀC(D(ξ))J (the paper prints JᵀC)."""
-        jacobian = self.autoencoder.decoder_jacobian(latent)
+        decoded, jacobian = self.autoencoder.decode_with_jacobian(latent)
         damping = self._constant_damping
         if damping is None:
-            damping = self.mechanics.damping_matrix(self.autoencoder.decode(latent))
+            damping = self.mechanics.damping_matrix(decoded)
         return jacobian.T @ damping @ jacobian
 
     def input_field(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'm 2']:
@@ -72,15 +72,14 @@ class CompressedSystem:
         self, latent: Float[np.ndarray, ' m'], force: Float[np.ndarray, ' 2'] | None = None
     ) -> Float[np.ndarray, ' m']:
         """Return ∇V_η(ξ) = Jᵀ∇V(D(ξ)), minus Γu under a constant force u [N]."""
-        gradient = self._full_gradient(self.autoencoder.decode(latent), force)
-        return self.autoencoder.decoder_jacobian(latent).T @ gradient
+        configuration, jacobian = self.autoencoder.decode_with_jacobian(latent)
+        return jacobian.T @ self._full_gradient(configuration, force)
 
     def potential_hessian(
         self, latent: Float[np.ndarray, ' m'], force: Float[np.ndarray, ' 2'] | None = None
     ) -> Float[np.ndarray, 'm m']:
         """Return ∇²V_η(ξ) = Jᵀ∇²V J + Σ_i (∇V − Gu)_i ∂²D_i/∂ξ²."""
-        configuration = self.autoencoder.decode(latent)
-        jacobian = self.autoencoder.decoder_jacobian(latent)
+        configuration, jacobian = self.autoencoder.decode_with_jacobian(latent)
         gradient = self._full_gradient(configuration, force)
         projected = jacobian.T @ self.mechanics.potential_hessian(configuration) @ jacobian
         return projected + self.autoencoder.decoder_curvature(latent, gradient)

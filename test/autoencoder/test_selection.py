@@ -2,6 +2,10 @@
 
 import contextlib
 import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -10,6 +14,7 @@ from select import select as wait_for
 import numpy as np
 import pytest
 import ray
+import yaml
 
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe
@@ -158,6 +163,33 @@ def test_a_search_trains_all_and_orders_them_by_their_validation_error(search, r
 def test_a_search_leaves_no_process_behind(search):
     assert not ray.is_initialized()
     assert still_running(f'DPC_ROS_SEARCH={search[0]}') == []
+
+
+def test_a_search_cut_off_by_ctrl_c_says_that_it_can_be_taken_up(workplace, recipe, tmp_path):
+    endless = replace(recipe, epochs=1_000_000, schedule='step').as_dict()
+    (tmp_path / 'endless.yaml').write_text(yaml.safe_dump(endless))
+    (tmp_path / 'grid.yaml').write_text('learning_rate: [1.0e-3, 3.0e-3]\n')
+    mark = f'DPC_ROS_SEARCH={tmp_path}'
+    options = '--config endless.yaml --grid grid.yaml --output . --parallel 1'
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'dpc_ros.cli', 'select', *options.split()],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, 'DPC_ROS_SEARCH': str(tmp_path)},
+        start_new_session=True,
+    )
+    folder = tmp_path / 'tiny_grid'
+    while process.poll() is None and not any(folder.glob('*.state.safetensors')):
+        time.sleep(0.05)  # looks again, however long it takes
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+    output, _ = process.communicate(timeout=END_TIMEOUT)
+    assert process.returncode == 130, output
+    assert output.endswith('the same command takes the search up again\nstopped\n')
+    assert any(folder.glob('*.state.safetensors'))
+    assert still_running(mark) == []
 
 
 def test_a_second_search_finds_everything_done(search, recipe, data_folder):

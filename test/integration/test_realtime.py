@@ -15,6 +15,12 @@ from dpc_ros.resources import config_path
 
 LOOP = ('simulator', 'encoder', 'controller')
 REALTIME = ('--ros-args', '--params-file', str(config_path('realtime.yaml')))
+# A recorder's subscriptions may be found later than those of the loop.
+READERS = {
+    'simulator': '[encoder, recorder]',
+    'encoder': '[controller, recorder]',
+    'controller': '[simulator, recorder]',
+}
 
 
 @pytest.mark.parametrize('order', list(itertools.permutations(LOOP)), ids='-'.join)
@@ -23,7 +29,8 @@ def test_nodes_started_by_hand_converge_in_any_order(domain, observer, tmp_path,
     observer.wait_for_node('recorder')
     nodes = {}
     for kind in order:
-        nodes[kind] = domain.start(f'{kind}_node', *REALTIME)
+        readers = ('-p', f'expected_subscribers:={READERS[kind]}')
+        nodes[kind] = domain.start(f'{kind}_node', *REALTIME, *readers)
         observer.wait_for_node(kind)
     output, _ = nodes['simulator'].communicate(timeout=120)
     assert nodes['simulator'].returncode == 0, output
