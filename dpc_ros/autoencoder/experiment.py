@@ -12,7 +12,7 @@ from dpc_ros import __version__
 from dpc_ros.autoencoder.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.autoencoder.training import reconstruction_mse, train
-from dpc_ros.data import Dataset, extended_conditions, load_dataset, make_dataset, save_dataset
+from dpc_ros.data import Dataset, extra_conditions, load_dataset, make_dataset, save_dataset
 from dpc_ros.network import MassSpringNetwork, load_network
 
 
@@ -129,8 +129,8 @@ def dataset_for(
     name = f'{network.name}_plus{extra_simulations}' if extra_simulations else network.name
     path = data or data_folder / f'{name}.npz'
     if not path.is_file():
-        conditions = extended_conditions(extra_simulations)
-        save_dataset(make_dataset(network, conditions, progress=progress), path)
+        extra = extra_conditions(extra_simulations)
+        save_dataset(make_dataset(network, extra_conditions=extra, progress=progress), path)
     dataset = load_dataset(path)
     digest = dataset.provenance['network_digest']
     if digest != network.digest:

@@ -1,9 +1,8 @@
 """Simulated configurations that autoencoders learn from and are measured on."""
 
-from dpc_ros.data.conditions import Condition, load_conditions
+from dpc_ros.data.conditions import Condition, extra_conditions, load_conditions
 from dpc_ros.data.dataset import (
     Dataset,
-    extended_conditions,
     load_dataset,
     make_dataset,
     save_dataset,
@@ -14,7 +13,7 @@ from dpc_ros.data.thinning import thin
 __all__ = [
     'Condition',
     'Dataset',
-    'extended_conditions',
+    'extra_conditions',
     'load_conditions',
     'load_dataset',
     'make_dataset',

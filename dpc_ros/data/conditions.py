@@ -87,6 +87,14 @@ def random_conditions(training: int, validation: int, seed: int = 0) -> list[Con
     return conditions
 
 
+def extra_conditions(training: int) -> list[Condition]:
+    """Return simulations under random gravity that stand beside the paper's in training.
+
+    For every eight that train there is one more that validates.
+    """
+    return random_conditions(training, -(-training // 8))
+
+
 def _condition(row: dict[str, str]) -> Condition:
     split = row['split'] if 'split' in row else ('outside', 'test')[int(row['in_paper_28'])]
     if split not in SPLITS:

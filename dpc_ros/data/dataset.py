@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from tqdm import tqdm
 from dpc_ros import __version__
 from dpc_ros.data.conditions import (
     Condition,
-    random_conditions,
     test_conditions,
     training_conditions,
 )
@@ -26,6 +26,7 @@ from dpc_ros.files import replacing
 from dpc_ros.network import MassSpringNetwork
 
 TEST_STRIDE = 2  # the paper's test set keeps every second step
+EXTRA_THINNING = 3.0  # times ε: of many simulations, frames that differ more
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,21 +64,11 @@ _ARRAYS = (
 )
 
 
-def extended_conditions(extra_simulations: int) -> list[Condition]:
-    """Return the paper's training and validation simulations and extra ones under random gravity.
-
-    For every eight extra simulations that train there is one more that validates.
-    """
-    if not extra_simulations:
-        return training_conditions()
-    extra = random_conditions(extra_simulations, -(-extra_simulations // 8))
-    return [*training_conditions(), *extra]
-
-
 def make_dataset(
     network: MassSpringNetwork,
     train_conditions: list[Condition] | None = None,
     held_out_conditions: list[Condition] | None = None,
+    extra_conditions: Sequence[Condition] = (),
     thinning_distance: float = THINNING_DISTANCE,
     method: str = 'rk4',
     progress: bool = False,
@@ -88,7 +79,9 @@ def make_dataset(
         network: the body.
         train_conditions: training and validation simulations, the paper's where left out.
         held_out_conditions: test simulations, the paper's where left out.
-        thinning_distance: ε [m], applied within each training and validation simulation.
+        extra_conditions: more training and validation simulations, the first from rest.
+        thinning_distance: ε [m], applied within each training and validation simulation, and three
+            times as large within each extra one.
         method: of integration, a key of `INTEGRATORS`.
         progress: show a progress bar.
 
@@ -99,19 +92,25 @@ def make_dataset(
     held_out = test_conditions() if held_out_conditions is None else held_out_conditions
     _check_splits(learning, {'train', 'validation'}, {'train', 'validation'})
     _check_splits(held_out, {'test'}, {'test', 'outside'})
+    _check_splits(extra_conditions, set(), {'train', 'validation'})
     frames: dict[str, list[np.ndarray]] = {name: [] for name in _ARRAYS}
     bar = tqdm(
-        total=len(learning) + len(held_out),
+        total=len(learning) + len(extra_conditions) + len(held_out),
         desc=f'simulating {network.name}',
         unit='simulation',
         disable=not progress,
     )
     with bar:
-        for condition, trajectory in simulate_conditions(network, learning, method=method):
-            kept = thin(trajectory.configuration, thinning_distance)
-            frames[condition.split].append(trajectory.configuration[kept])
-            frames[f'{condition.split}_simulation'].append(np.full(len(kept), condition.simulation))
-            bar.update()
+        for conditions, distance in (
+            (learning, thinning_distance),
+            (extra_conditions, EXTRA_THINNING * thinning_distance),
+        ):
+            for condition, trajectory in simulate_conditions(network, conditions, method=method):
+                kept = thin(trajectory.configuration, distance)
+                number = np.full(len(kept), condition.simulation)
+                frames[condition.split].append(trajectory.configuration[kept])
+                frames[f'{condition.split}_simulation'].append(number)
+                bar.update()
         for condition, trajectory in simulate_conditions(network, held_out, method=method):
             if condition.split == 'test':
                 kept = np.arange(0, len(trajectory.configuration), TEST_STRIDE)
@@ -122,11 +121,12 @@ def make_dataset(
     provenance = {
         'network': network.name,
         'network_digest': network.digest,
-        'conditions': [asdict(condition) for condition in (*learning, *held_out)],
+        'conditions': [asdict(each) for each in (*learning, *extra_conditions, *held_out)],
         'duration_s': DURATION,
         'step_s': STEP,
         'integrator': method,
         'thinning_distance_m': thinning_distance,
+        'extra_thinning_distance_m': EXTRA_THINNING * thinning_distance,
         'test_stride': TEST_STRIDE,
         'dpc_ros': __version__,
         'numpy': np.__version__,
@@ -174,7 +174,7 @@ def load_dataset(path: str | Path) -> Dataset:
     return Dataset(**arrays, provenance=provenance)
 
 
-def _check_splits(conditions: list[Condition], needed: set[str], known: set[str]) -> None:
+def _check_splits(conditions: Sequence[Condition], needed: set[str], known: set[str]) -> None:
     splits = {condition.split for condition in conditions}
     if not needed <= splits <= known:
         raise ValueError(

@@ -30,7 +30,7 @@ _GRAPH_EPOCHS, _PAPER_EPOCHS = 150, 500
 _GRAPH_BATCH = 64
 
 _WEIGHT_DECAYS = (0.3, 1.0, 3.0)  # of which validation data choose
-_EXTRA_SIMULATIONS = 60
+_EXTRA_SIMULATIONS = 400
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def extended(system: str, latent_size: int) -> list[Recipe]:
             pod_size=64,
             extra_simulations=_EXTRA_SIMULATIONS,
             input_noise=0.02,
-            epochs=80,
+            epochs=60,
             batch_size=128,
             optimizer='adamw',
             learning_rate=3e-3,

@@ -8,12 +8,13 @@ import pytest
 
 from dpc_ros.data import (
     Condition,
-    extended_conditions,
+    extra_conditions,
     load_dataset,
     make_dataset,
     save_dataset,
     thin,
 )
+from dpc_ros.data.conditions import test_conditions as paper_test_conditions
 from dpc_ros.data.conditions import training_conditions
 from dpc_ros.network import Gravity, load_network
 
@@ -95,17 +96,31 @@ def test_round_trip_keeps_every_bit(dataset, file):
 
 
 @pytest.mark.parametrize(('extra', 'validation'), [(1, 1), (8, 1), (9, 2), (60, 8)])
-def test_extra_simulations_stand_beside_the_papers(extra, validation):
-    conditions = extended_conditions(extra)
-    assert conditions[:7] == training_conditions()
-    splits = [c.split for c in conditions[7:]]
+def test_one_in_nine_extra_simulations_validates(extra, validation):
+    conditions = extra_conditions(extra)
+    splits = [c.split for c in conditions]
     assert splits == ['train'] * extra + ['validation'] * validation
-    assert conditions[7].start == 'rest'
-    assert len({c.simulation for c in conditions}) == len(conditions)
+    assert conditions[0].start == 'rest'
+    numbers = {c.simulation for c in (*conditions, *training_conditions(), *paper_test_conditions())}
+    assert len(numbers) == len(conditions) + 7 + 30
 
 
-def test_no_extra_simulations_leave_the_papers_alone():
-    assert extended_conditions(0) == training_conditions()
+def test_extra_simulations_stand_beside_the_others_thinned_three_times_as_far(
+    dataset, small_network
+):
+    conditions = [
+        Condition(11, 'train', Gravity(8.0, -1.0), 'rest'),
+        Condition(12, 'validation', Gravity(12.0, -2.0), 'previous_end'),
+    ]
+    both = make_dataset(small_network, FEW, HELD_OUT, extra_conditions=conditions)
+    for split, number in (('train', 11), ('validation', 12)):
+        frames = getattr(both, split)
+        extra = getattr(both, f'{split}_simulation') == number
+        np.testing.assert_array_equal(frames[~extra], getattr(dataset, split))
+        assert 0 < np.sum(extra)
+        np.testing.assert_array_equal(thin(frames[extra], 0.3), np.arange(np.sum(extra)))
+    np.testing.assert_array_equal(both.test, dataset.test)
+    assert both.provenance['extra_thinning_distance_m'] == pytest.approx(0.3)
 
 
 def refuse(path):
