@@ -29,7 +29,8 @@ _GRAPH: dict[str, tuple[float, float, int, float]] = {
 _GRAPH_EPOCHS, _PAPER_EPOCHS = 150, 500
 _GRAPH_BATCH = 64
 
-_WEIGHT_DECAYS = (0.3, 1.0, 3.0)  # of which validation data choose
+# Weight decay and batch size, of which validation data choose.
+_REGULARISATIONS = ((0.3, 256), (1.0, 256), (3.0, 256), (0.6, 128))
 _EXTRA_SIMULATIONS = 400
 
 
@@ -92,7 +93,7 @@ def pod(system: str, latent_size: int) -> list[Recipe]:
 
 
 def ours(system: str, latent_size: int) -> list[Recipe]:
-    """Return our autoencoder on the paper's training data, under several weight decays."""
+    """Return our autoencoder on the paper's training data, regularised more and less."""
     return [
         Recipe(
             name=f'{system}_ours_m{latent_size}_decay_{decay}',
@@ -103,12 +104,13 @@ def ours(system: str, latent_size: int) -> list[Recipe]:
             skip=True,
             pod_size=64,
             epochs=150,
+            batch_size=batch_size,
             optimizer='adamw',
             learning_rate=3e-3,
             weight_decay=decay,
             schedule='one_cycle',
         )
-        for decay in _WEIGHT_DECAYS
+        for decay, batch_size in _REGULARISATIONS
     ]
 
 
