@@ -101,7 +101,8 @@ def test_one_in_nine_extra_simulations_validates(extra, validation):
     splits = [c.split for c in conditions]
     assert splits == ['train'] * extra + ['validation'] * validation
     assert conditions[0].start == 'rest'
-    numbers = {c.simulation for c in (*conditions, *training_conditions(), *paper_test_conditions())}
+    papers = (*training_conditions(), *paper_test_conditions())
+    numbers = {c.simulation for c in (*conditions, *papers)}
     assert len(numbers) == len(conditions) + 7 + 30
 
 
@@ -117,7 +118,7 @@ def test_extra_simulations_stand_beside_the_others_thinned_three_times_as_far(
         frames = getattr(both, split)
         extra = getattr(both, f'{split}_simulation') == number
         np.testing.assert_array_equal(frames[~extra], getattr(dataset, split))
-        assert 0 < np.sum(extra)
+        assert np.sum(extra) > 0
         np.testing.assert_array_equal(thin(frames[extra], 0.3), np.arange(np.sum(extra)))
     np.testing.assert_array_equal(both.test, dataset.test)
     assert both.provenance['extra_thinning_distance_m'] == pytest.approx(0.3)
