@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 
 from dpc_ros import __version__
@@ -25,15 +25,19 @@ NETWORK_FOLDER = Path('runs/networks')
 
 
 def number(text: str) -> float:
-    """Return a number that may be written as a fraction, 1/205.
+    """Return a finite number that may be written as a fraction, 1/205.
 
     Raises:
-        ValueError: the text is no number, or none of finite size.
+        ArgumentTypeError: the text is no such number.
     """
+    above, _, below = text.partition('/')
     try:
-        return float(Fraction(text))
-    except (ZeroDivisionError, OverflowError) as error:
-        raise ValueError(f'expected a number or a fraction, got {text!r}') from error
+        value = float(above) / float(below or 1)
+    except (ValueError, ZeroDivisionError, OverflowError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f'expected a number or a fraction, got {text!r}')
+    return value
 
 
 # Fields of GeneratorSettings that `dpc generate` sets: type, default, what they are.
@@ -134,7 +138,8 @@ def train(options: argparse.Namespace) -> None:
     except KeyboardInterrupt:
         state = state_path(recipe, folder)
         if state.exists():
-            print(f'state       {state}: the same command takes the training up again')
+            # Before what stands in standard error, whatever the buffers.
+            print(f'state       {state}: the same command takes the training up again', flush=True)
         raise
     print(f'checkpoint  {path}')
 
@@ -169,7 +174,7 @@ def select(options: argparse.Namespace) -> None:
             progress=True,
         )
     except KeyboardInterrupt:
-        print(f'state       {folder}: the same command takes the search up again')
+        print(f'state       {folder}: the same command takes the search up again', flush=True)
         raise
     keys = [*grid, 'epochs', 'train_mse', 'validation_mse']
     print('  '.join(f'{key:>14}' for key in keys))

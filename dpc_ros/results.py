@@ -45,12 +45,17 @@ def _plain(value: Any) -> Any:
 
 
 def _commit() -> str:
-    """Return the commit of the source tree, marked where files differ from it; else the version."""
-    command = ['git', '-C', str(Path(__file__).parent), 'describe', '--always', '--dirty']
+    """Return the commit of the source tree, else the version.
+
+    It is marked as dirty where files differ from it, but for those that commands write: docs.
+    """
+    git = ['git', '-C', str(Path(__file__).parent)]
+    changes = ['status', '--porcelain', '--untracked-files=no', '--', ':/', ':(top,exclude)docs']
     try:
-        described = subprocess.run(
-            [*command, '--abbrev=40', '--exclude=*'], capture_output=True, text=True, check=True
+        commit, changed = (
+            subprocess.run([*git, *command], capture_output=True, text=True, check=True).stdout
+            for command in (['rev-parse', 'HEAD'], changes)
         )
     except (OSError, subprocess.CalledProcessError):
         return f'dpc_ros {__version__}, no checkout'
-    return described.stdout.strip()
+    return commit.strip() + ('-dirty' if changed.strip() else '')

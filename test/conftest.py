@@ -198,7 +198,7 @@ class Shipped:
 
 @pytest.fixture(scope='session', params=['paper_2_flat_m2', 'paper_2_extended_m5'])
 def shipped(request, paper_2):
-    """Each shipped checkpoint, on system 2 without gravity."""
+    """A shipped checkpoint of the paper's recipe and one of ours, on system 2 without gravity."""
     checkpoint = load_checkpoint(request.param)
     autoencoder = checkpoint.autoencoder()
     system = CompressedSystem(Mechanics(paper_2), autoencoder, ACTUATED_MASS)

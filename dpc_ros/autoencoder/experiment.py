@@ -138,4 +138,9 @@ def dataset_for(
             f'{path} holds data of {dataset.provenance["network"]}@{digest}, the recipe is for '
             f'{network.identifier}: simulate that network, or name its data by --data'
         )
+    if extra_simulations and 'extra_thinning_distance_m' not in dataset.provenance:
+        raise ValueError(
+            f'{path} holds no extra simulations as a recipe with extra_simulations has them: move '
+            'it away, and they are made anew'
+        )
     return dataset

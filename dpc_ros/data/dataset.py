@@ -126,11 +126,12 @@ def make_dataset(
         'step_s': STEP,
         'integrator': method,
         'thinning_distance_m': thinning_distance,
-        'extra_thinning_distance_m': EXTRA_THINNING * thinning_distance,
         'test_stride': TEST_STRIDE,
         'dpc_ros': __version__,
         'numpy': np.__version__,
     }
+    if extra_conditions:
+        provenance['extra_thinning_distance_m'] = EXTRA_THINNING * thinning_distance
     return Dataset(
         **{name: np.concatenate(parts) for name, parts in frames.items()}, provenance=provenance
     )

@@ -84,7 +84,7 @@ def draw_springs(
     configuration: Float[np.ndarray, ' n'] | None = None,
     **style: Any,
 ) -> None:
-    """Draw the springs only, without touching the axes' limits.
+    """Draw the springs only.
 
     Args:
         network: the body.

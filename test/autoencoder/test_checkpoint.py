@@ -262,8 +262,10 @@ def test_shipped_checkpoints_belong_to_system_2(shipped, paper_2):
     assert shipped.checkpoint.name.endswith(f'm{shipped.autoencoder.latent_size}')
 
 
-def test_shipped_checkpoints_have_the_error_that_they_state(shipped, validation_frames):
-    provenance = shipped.checkpoint.provenance
+@pytest.mark.parametrize('name', ['flat_m2', 'pod_m5', 'extended_m2', 'extended_m3', 'extended_m5'])
+def test_shipped_checkpoints_have_the_error_that_they_state(name, validation_frames):
+    checkpoint = load_checkpoint(f'paper_2_{name}')
+    provenance = checkpoint.provenance
     frames = validation_frames(provenance['recipe'].get('extra_simulations', 0))
-    error = reconstruction_mse(shipped.autoencoder, frames)
+    error = reconstruction_mse(checkpoint.autoencoder(), frames)
     assert error == pytest.approx(provenance['scores']['validation_mse'], rel=1e-6)

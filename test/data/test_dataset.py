@@ -12,6 +12,7 @@ from dpc_ros.data import (
     load_dataset,
     make_dataset,
     save_dataset,
+    simulate_conditions,
     thin,
 )
 from dpc_ros.data.conditions import test_conditions as paper_test_conditions
@@ -114,14 +115,18 @@ def test_extra_simulations_stand_beside_the_others_thinned_three_times_as_far(
         Condition(12, 'validation', Gravity(12.0, -2.0), 'previous_end'),
     ]
     both = make_dataset(small_network, FEW, HELD_OUT, extra_conditions=conditions)
+    expected = {
+        condition.split: trajectory.configuration[thin(trajectory.configuration, 0.3)]
+        for condition, trajectory in simulate_conditions(small_network, conditions)
+    }
     for split, number in (('train', 11), ('validation', 12)):
         frames = getattr(both, split)
         extra = getattr(both, f'{split}_simulation') == number
         np.testing.assert_array_equal(frames[~extra], getattr(dataset, split))
-        assert np.sum(extra) > 0
-        np.testing.assert_array_equal(thin(frames[extra], 0.3), np.arange(np.sum(extra)))
+        np.testing.assert_array_equal(frames[extra], expected[split])
     np.testing.assert_array_equal(both.test, dataset.test)
     assert both.provenance['extra_thinning_distance_m'] == pytest.approx(0.3)
+    assert 'extra_thinning_distance_m' not in dataset.provenance
 
 
 def refuse(path):

@@ -11,7 +11,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from dpc_ros.network import MassSpringNetwork, NetworkError, draw_figure, draw_network
+from dpc_ros.network import (
+    MassSpringNetwork,
+    NetworkError,
+    draw_figure,
+    draw_network,
+    draw_springs,
+)
 
 
 @pytest.fixture
@@ -41,6 +47,19 @@ def test_shows_all_springs_and_masses_at_rest(paper_2, axes):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ('x [m]', 'y [m]')
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels == ['springs (636)', 'mobile masses (200)', 'fixed masses (5)']
+
+
+def test_springs_alone_lie_where_the_configuration_says(random_network, random_state, axes):
+    network = random_network(3)
+    q, _ = random_state(3, network)
+    draw_springs(network, axes, q, color='red', label='strained')
+    position = network.rest_position.copy()
+    position[network.mobile] = q.reshape(-1, 2)
+    np.testing.assert_array_equal(lines(axes), position[network.springs])
+    assert axes.get_legend_handles_labels()[1] == ['strained']
+    assert not axes.lines
+    with pytest.raises(NetworkError, match='configuration: expected'):
+        draw_springs(network, axes, q[:-1])
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -45,6 +45,17 @@ def small_model(body):
     return Model('ours', 'best', 'paper', lambda system, m: [worse, recipe])
 
 
+def test_no_two_trainings_share_a_name():
+    names = [
+        recipe.name
+        for model in MODELS.values()
+        for system in SYSTEMS
+        for m in range(1, 9)
+        for recipe in model.candidates(system, m)
+    ]
+    assert len(set(names)) == len(names)
+
+
 def test_the_best_by_validation_is_taken(workshop, body):
     trained = workshop.trained(small_model(body), body, 2)
     assert trained.checkpoint.name == 'first'
