@@ -269,10 +269,21 @@ def test_several_publishers_are_reported(domain, observer):
     client.connect(JointState, 'configuration', JointState, 'latent_state')
     second = observer.node.create_publisher(JointState, 'configuration', LOOP_QOS)
     observer.wait(lambda: second.get_subscription_count() > 0, 'the second publisher')
-    for stamp in range(1, 11):
-        client.ask(configuration(stamp))
-    second.publish(configuration(11))
-    client.ask(configuration(12))
+    for _ in range(100):  # more than the second will say
+        client.ask(configuration(1))
+
+    def answered(stamp):
+        return any(from_stamp(answer.header.stamp) == stamp for answer in client.answers)
+
+    # Two publishers keep no order between them, so one waits for the answer to the other; and the
+    # node may know the second later than the second knows the node.
+    def asked_by_the_second():
+        second.publish(configuration(11))
+        return answered(11)
+
+    observer.wait(asked_by_the_second, 'an answer to the second publisher')
+    client.publisher.publish(configuration(12))
+    observer.wait(lambda: answered(12), 'an answer to the first publisher')
     assert 'several publishers' in client.stop()
 
 
