@@ -17,10 +17,12 @@ import ray
 import yaml
 
 from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder.experiment import dataset_for
 from dpc_ros.autoencoder.recipe import Recipe
 from dpc_ros.autoencoder.selection import PAPER_GRIDS, grid_recipes, load_grid, select
 from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.data import save_dataset
+from dpc_ros.network import load_network
 
 END_TIMEOUT = 60  # s, for processes that are told to end
 START_TIMEOUT = 180  # s, for a search to begin
@@ -190,6 +192,7 @@ def test_a_search_cut_off_by_ctrl_c_says_that_it_can_be_taken_up(workplace, reci
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGINT)  # as the terminal does
         output, _ = process.communicate(timeout=END_TIMEOUT)
+        left = still_running(mark)
     finally:
         process.kill()
         for number in still_running(mark, 0):
@@ -197,6 +200,14 @@ def test_a_search_cut_off_by_ctrl_c_says_that_it_can_be_taken_up(workplace, reci
     assert process.returncode == 130, output
     assert output.endswith('the same command takes the search up again\nstopped\n')
     assert any(folder.glob('*.state.safetensors'))
+    assert left == []
+
+
+def test_data_made_without_extra_simulations_are_refused(workplace, tmp_path):
+    save_dataset(workplace.dataset, tmp_path / 'grid_plus8.npz')
+    with pytest.raises(ValueError, match='holds no extra simulations') as caught:
+        dataset_for(load_network(workplace.network), tmp_path, extra_simulations=8)
+    assert 'grid_plus8.npz' in str(caught.value)
 
 
 def test_a_second_search_finds_everything_done(search, recipe, data_folder):
