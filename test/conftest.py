@@ -17,7 +17,8 @@ SHAPE_CHECKED = (
     'dpc_ros.autoencoder.flat',
     'dpc_ros.autoencoder.flat_module',
     'dpc_ros.autoencoder.perceptron',
-    'dpc_ros.reduction',
+    'dpc_ros.reduction.compressed_system',
+    'dpc_ros.reduction.simulation',
     'dpc_ros.control',
 )
 install_import_hook(SHAPE_CHECKED, 'beartype.beartype')

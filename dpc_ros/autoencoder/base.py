@@ -7,11 +7,13 @@ from abc import ABC, abstractmethod
 import numpy as np
 from jaxtyping import Float
 
+from dpc_ros.autoencoder.compiled import DenseDecoder
+
 
 class Autoencoder(ABC):
     """An encoder E: ℝⁿ → ℝᵐ and a decoder D: ℝᵐ → ℝⁿ with their derivatives, in float64.
 
-    `encode`, `decode` and `decode_with_jacobian` take any leading dimensions, the others one point.
+    What is annotated with `*batch` takes any leading dimensions, the others take one point.
     """
 
     @property
@@ -49,6 +51,22 @@ class Autoencoder(ABC):
         self, latent: Float[np.ndarray, '*batch m']
     ) -> tuple[Float[np.ndarray, '*batch n'], Float[np.ndarray, '*batch n m']]:
         """Return D(ξ) [m] and J = ∂D/∂ξ for any leading dimensions."""
+
+    @abstractmethod
+    def decode_with_derivatives(
+        self,
+        latent: Float[np.ndarray, '*batch m'],
+        latent_velocity: Float[np.ndarray, '*batch m'],
+    ) -> tuple[
+        Float[np.ndarray, '*batch n'],
+        Float[np.ndarray, '*batch n m'],
+        Float[np.ndarray, '*batch n'],
+    ]:
+        """Return D(ξ) [m], J = ∂D/∂ξ and J̇ξ̇, the second derivative of D along ξ̇ [m/s²]."""
+
+    def compiled_decoder(self) -> DenseDecoder | None:
+        """Return D for compiled code, where it is made of dense layers; none otherwise."""
+        return None
 
     def decoder_jacobian(self, latent: Float[np.ndarray, ' m']) -> Float[np.ndarray, 'n m']:
         """Return J = ∂D/∂ξ."""

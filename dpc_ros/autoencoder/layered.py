@@ -13,6 +13,7 @@ from dpc_ros.autoencoder.architecture import (
     PodArchitecture,
 )
 from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.compiled import DenseDecoder, dense_decoder
 from dpc_ros.autoencoder.layers import DenseLayer, Layer
 from dpc_ros.autoencoder.perceptron import Perceptron
 
@@ -66,6 +67,25 @@ class LayeredAutoencoder(Autoencoder):
         self, latent: Float[np.ndarray, '*batch m']
     ) -> tuple[Float[np.ndarray, '*batch n'], Float[np.ndarray, '*batch n m']]:
         return self._decoder.value_and_jacobian(latent)
+
+    def decode_with_derivatives(
+        self,
+        latent: Float[np.ndarray, '*batch m'],
+        latent_velocity: Float[np.ndarray, '*batch m'],
+    ) -> tuple[
+        Float[np.ndarray, '*batch n'],
+        Float[np.ndarray, '*batch n m'],
+        Float[np.ndarray, '*batch n'],
+    ]:
+        return self._decoder.value_and_derivatives(latent, latent_velocity)
+
+    def compiled_decoder(self) -> DenseDecoder | None:
+        layers = self._decoder.layers
+        weights = [layer.weight for layer in layers if isinstance(layer, DenseLayer)]
+        if len(weights) < len(layers):
+            return None
+        biases = [layer.bias for layer in layers]
+        return dense_decoder(weights, biases, self._decoder.skip, self._decoder.activation)
 
     def decoder_curvature(
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']

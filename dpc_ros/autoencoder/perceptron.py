@@ -38,6 +38,7 @@ class Perceptron:
                 )
         self.layers = list(layers)
         self.skip = None if skip is None else np.ascontiguousarray(skip, float)
+        self.activation = activation
         self._activation = ACTIVATIONS[activation]
 
     @property
@@ -86,6 +87,36 @@ class Perceptron:
             value = value + x @ self.skip.T
             product = product + tangent @ self.skip.T
         return value, product
+
+    def value_and_derivatives(
+        self,
+        x: Float[np.ndarray, '*batch inputs'],
+        direction: Float[np.ndarray, '*batch inputs'],
+    ) -> tuple[
+        Float[np.ndarray, '*batch outputs'],
+        Float[np.ndarray, '*batch outputs inputs'],
+        Float[np.ndarray, '*batch outputs'],
+    ]:
+        """Return f(x), ∂f/∂x and the second derivative of f along a direction, d²f(x + td)/dt².
+
+        One forward pass moves the value, a tangent for each input and the second derivative along:
+        σ(z) bends the latter by σ''(z)(ż·ż) with ż the derivative of z along the direction.
+        """
+        hidden, second = x, np.zeros_like(x)
+        moved = np.broadcast_to(np.eye(self.input_size), (*x.shape, self.input_size))
+        for layer in self.layers[:-1]:
+            z, moved, second = layer.value(hidden), layer.product(moved), layer.product(second)
+            along = np.einsum('...i,...ij->...j', direction, moved)
+            slope = self._activation.first_derivative(z)
+            second = slope * second + self._activation.second_derivative(z) * along**2
+            moved = slope[..., None, :] * moved
+            hidden = self._activation.value(z)
+        last = self.layers[-1]
+        value, moved, second = last.value(hidden), last.product(moved), last.product(second)
+        jacobian = moved.swapaxes(-1, -2)
+        if self.skip is not None:
+            value, jacobian = value + x @ self.skip.T, jacobian + self.skip
+        return value, jacobian, second
 
     def curvature(
         self, x: Float[np.ndarray, ' inputs'], weight: Float[np.ndarray, ' outputs']

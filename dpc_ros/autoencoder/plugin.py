@@ -109,6 +109,25 @@ class PluginAutoencoder(Autoencoder):
         jacobian = torch.func.vmap(torch.func.jacfwd(self._decode_one))(rows).numpy()
         return self.decode(latent), jacobian.reshape(*latent.shape[:-1], *jacobian.shape[1:])
 
+    def decode_with_derivatives(
+        self,
+        latent: Float[np.ndarray, '*batch m'],
+        latent_velocity: Float[np.ndarray, '*batch m'],
+    ) -> tuple[
+        Float[np.ndarray, '*batch n'],
+        Float[np.ndarray, '*batch n m'],
+        Float[np.ndarray, '*batch n'],
+    ]:
+        decoded, jacobian = self.decode_with_jacobian(latent)
+        rows = _tensor(latent.reshape(-1, self.latent_size))
+        tangents = _tensor(latent_velocity.reshape(-1, self.latent_size))
+
+        def velocity(xi: Tensor) -> Tensor:
+            return torch.func.jvp(self._module.decode, (xi,), (tangents,))[1]
+
+        second = torch.func.jvp(velocity, (rows,), (tangents,))[1]
+        return decoded, jacobian, second.numpy().reshape(decoded.shape)
+
     def decoder_curvature(
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']
     ) -> Float[np.ndarray, 'm m']:

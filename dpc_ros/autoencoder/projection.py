@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.compiled import DenseDecoder
 
 ENCODERS = ('network', 'projection')
 ITERATIONS = 20
@@ -103,6 +104,20 @@ class ProjectionAutoencoder(Autoencoder):
         self, latent: Float[np.ndarray, '*batch m']
     ) -> tuple[Float[np.ndarray, '*batch n'], Float[np.ndarray, '*batch n m']]:
         return self._autoencoder.decode_with_jacobian(latent)
+
+    def decode_with_derivatives(
+        self,
+        latent: Float[np.ndarray, '*batch m'],
+        latent_velocity: Float[np.ndarray, '*batch m'],
+    ) -> tuple[
+        Float[np.ndarray, '*batch n'],
+        Float[np.ndarray, '*batch n m'],
+        Float[np.ndarray, '*batch n'],
+    ]:
+        return self._autoencoder.decode_with_derivatives(latent, latent_velocity)
+
+    def compiled_decoder(self) -> DenseDecoder | None:
+        return self._autoencoder.compiled_decoder()
 
     def decoder_curvature(
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']

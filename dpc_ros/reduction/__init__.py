@@ -1,5 +1,17 @@
 """The compressed Hamiltonian system: the body's mechanics in latent coordinates."""
 
 from dpc_ros.reduction.compressed_system import CompressedSystem
+from dpc_ros.reduction.simulation import (
+    METHODS,
+    DivergenceError,
+    LatentTrajectory,
+    simulate_compressed,
+)
 
-__all__ = ['CompressedSystem']
+__all__ = [
+    'METHODS',
+    'CompressedSystem',
+    'DivergenceError',
+    'LatentTrajectory',
+    'simulate_compressed',
+]

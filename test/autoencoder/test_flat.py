@@ -102,6 +102,17 @@ def test_decoder_curvature(module, point):
     assert np.abs(curvature).max() > 1e-6
 
 
+def test_second_derivative_along_a_velocity(module, point):
+    latent, velocity = point[2], np.array([0.5, -1.0, 2.0])
+    decoded, jacobian, second = module.export().decode_with_derivatives(latent, velocity)
+    xi, xi_dot = torch.from_numpy(latent), torch.from_numpy(velocity)
+    jacobian_of = torch.func.jacfwd(module.decode)
+    expected = torch.func.jvp(lambda at: jacobian_of(at) @ xi_dot, (xi,), (xi_dot,))[1].detach()
+    np.testing.assert_allclose(second, expected, atol=1e-10)
+    np.testing.assert_allclose(jacobian, jacobian_of(xi).detach(), atol=1e-10)
+    np.testing.assert_allclose(decoded, module.decode(xi).detach(), atol=1e-10)
+
+
 @pytest.fixture(scope='module')
 def spread(small_configurations):
     """Configurations that fill all directions, some more than others."""

@@ -74,6 +74,7 @@ def test_derivatives_are_those_of_linear_maps(make_pod, small_configurations, ce
     expected = central_difference(autoencoder.decode, latent, 0.1)
     np.testing.assert_allclose(autoencoder.decoder_jacobian(latent), expected, atol=1e-10)
     assert not autoencoder.decoder_curvature(latent, velocity).any()
+    assert not autoencoder.decode_with_derivatives(latent, moved)[2].any()
 
 
 def test_training_is_nothing_but_the_decomposition(

@@ -1,0 +1,185 @@
+"""Simulation of the compressed system at a fixed step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from dpc_ros.reduction.compressed_system import CompressedSystem
+
+_TOLERANCE = 1e-12  # of an implicit step's latent velocity, relative to its largest value
+_ITERATIONS = 50
+
+
+class DivergenceError(ValueError):
+    """A compressed simulation that left every bound: the step is too long, or the decoder fails."""
+
+
+@dataclass(frozen=True, eq=False)
+class LatentTrajectory:
+    """States of the compressed system at equal steps of time, the first at time zero.
+
+    Attributes:
+        step: time between two states [s].
+        latent: ξ of each state.
+        velocity: ξ̇ of each state [1/s].
+    """
+
+    step: float
+    latent: Float[np.ndarray, 'frames *batch m']
+    velocity: Float[np.ndarray, 'frames *batch m']
+
+    @property
+    def time(self) -> Float[np.ndarray, ' frames']:
+        """Time of each state [s]."""
+        return self.step * np.arange(len(self.latent))
+
+
+def simulate_compressed(
+    system: CompressedSystem,
+    latent: Float[np.ndarray, '*batch m'],
+    velocity: Float[np.ndarray, '*batch m'],
+    step: float,
+    steps: int,
+    force: Float[np.ndarray, ' 2'] | Float[np.ndarray, 'steps 2'] | None = None,
+    method: str = 'rk4',
+) -> LatentTrajectory:
+    """Integrate the compressed system over a number of steps.
+
+    Args:
+        system: the compressed system in its field of gravity.
+        latent: ξ at time zero, of one trajectory or of several.
+        velocity: ξ̇ at time zero [1/s].
+        step: time step [s], > 0.
+        steps: number of steps; the trajectory holds one state more.
+        force: u [N] on the actuated mass, constant or held over each step; zero where left out.
+        method: a key of `METHODS`: `rk4`, the classical Runge–Kutta method of order four on
+            (ξ, ξ̇), or `implicit_midpoint` on (ξ, π), symplectic and symmetric in time where
+            nothing damps (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1, VI.4).
+
+    Raises:
+        ValueError: unknown method, a step that is not positive, or forces for another number of
+            steps.
+        DivergenceError: a state is not finite, or an implicit step was not solved.
+    """
+    if method not in METHODS:
+        raise ValueError(f'unknown method {method!r}: choose one of {sorted(METHODS)}')
+    if not (np.isfinite(step) and step > 0):
+        raise ValueError(f'step: expected a time > 0 s, got {step}')
+    if force is not None and force.shape not in ((2,), (steps, 2)):
+        raise ValueError(
+            f'force: expected u, or one for each of {steps} steps, got the shape {force.shape}'
+        )
+    forces = np.broadcast_to(np.zeros(2) if force is None else force, (steps, 2))
+    latents = np.empty((steps + 1, *latent.shape))
+    velocities = np.empty_like(latents)
+    latents[0], velocities[0] = latent, velocity
+    advance = METHODS[method]
+    for k in range(steps):
+        try:
+            with np.errstate(all='ignore'):  # what is not finite is told below
+                state = advance(system, latents[k], velocities[k], forces[k], step)
+        except np.linalg.LinAlgError as error:
+            raise _diverged(k, step) from error
+        latents[k + 1], velocities[k + 1] = state
+        if not np.isfinite(state).all():
+            raise _diverged(k, step)
+    return LatentTrajectory(float(step), latents, velocities)
+
+
+def _diverged(k: int, step: float) -> DivergenceError:
+    return DivergenceError(
+        f'the compressed simulation diverged at {k * step:g} s with steps of {step:g} s: take '
+        'shorter steps, or a decoder that knows the configurations that it comes to'
+    )
+
+
+State = tuple[np.ndarray, np.ndarray]
+
+
+def _rk4_step(
+    system: CompressedSystem,
+    latent: Float[np.ndarray, '*batch m'],
+    velocity: Float[np.ndarray, '*batch m'],
+    force: Float[np.ndarray, ' 2'],
+    step: float,
+) -> State:
+    forces = np.broadcast_to(force, (*latent.shape[:-1], 2))
+
+    def acceleration(xi: np.ndarray, xi_dot: np.ndarray) -> np.ndarray:
+        return system.acceleration(xi, xi_dot, forces)
+
+    half = 0.5 * step
+    a1 = acceleration(latent, velocity)
+    v2 = velocity + half * a1
+    a2 = acceleration(latent + half * velocity, v2)
+    v3 = velocity + half * a2
+    a3 = acceleration(latent + half * v2, v3)
+    v4 = velocity + step * a3
+    a4 = acceleration(latent + step * v3, v4)
+    return (
+        latent + step / 6.0 * (velocity + 2.0 * v2 + 2.0 * v3 + v4),
+        velocity + step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
+    )
+
+
+def _implicit_midpoint_step(
+    system: CompressedSystem,
+    latent: Float[np.ndarray, '*batch m'],
+    velocity: Float[np.ndarray, '*batch m'],
+    force: Float[np.ndarray, ' 2'],
+    step: float,
+) -> State:
+    if latent.ndim > 1:
+        each = [
+            _implicit_midpoint_step(system, *state, force, step)
+            for state in zip(latent, velocity, strict=True)
+        ]
+        latents, velocities = zip(*each, strict=True)
+        return np.stack(latents), np.stack(velocities)
+    momentum = system.momentum(latent, velocity)
+    middle = _middle_velocity(system, latent, velocity, momentum, force, step)
+    half_way = latent + 0.5 * step * middle
+    new_latent = latent + step * middle
+    new_momentum = 2.0 * system.momentum(half_way, middle) - momentum
+    return new_latent, system.latent_velocity(new_latent, new_momentum)
+
+
+def _middle_velocity(
+    system: CompressedSystem,
+    latent: Float[np.ndarray, ' m'],
+    velocity: Float[np.ndarray, ' m'],
+    momentum: Float[np.ndarray, ' m'],
+    force: Float[np.ndarray, ' 2'],
+    step: float,
+) -> Float[np.ndarray, ' m']:
+    """Solve M_η(ξ + ½hv)v = π + ½hπ̇(ξ + ½hv, v) for the velocity v at the middle of a step.
+
+    By Newton's method with the slope M_η + ½hΔ + ¼h²∇²V_η, which leaves out how M_η and the
+    convective force change: both are small against it, so that a few iterations end at rounding.
+    """
+    half = 0.5 * step
+    start = latent + half * velocity
+    slope = (
+        system.mass_matrix(start)
+        + half * system.damping_matrix(start)
+        + half**2 * system.potential_hessian(start, force)
+    )
+    middle = velocity
+    for _ in range(_ITERATIONS):
+        point = latent + half * middle
+        rate = system.momentum_rate(point, middle, force)
+        change = np.linalg.solve(slope, momentum + half * rate - system.momentum(point, middle))
+        middle = middle + change
+        if np.abs(change).max() <= _TOLERANCE * max(np.abs(middle).max(), 1.0):
+            return middle
+    raise np.linalg.LinAlgError('the implicit step was not solved')
+
+
+METHODS: dict[str, Callable[..., State]] = {
+    'rk4': _rk4_step,
+    'implicit_midpoint': _implicit_midpoint_step,
+}
