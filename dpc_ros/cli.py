@@ -19,9 +19,11 @@ PAPER_EXPERIMENTS = (
     'noise',
     'interpretability',
     'pointwise',
+    'reduced',
     'tables',
 )
 NETWORK_FOLDER = Path('runs/networks')
+REDUCED_FOLDER = Path('runs/reduced')
 
 
 def number(text: str) -> float:
@@ -188,6 +190,48 @@ def select(options: argparse.Namespace) -> None:
         print(f'results     {options.results}')
 
 
+def reduce(options: argparse.Namespace) -> None:
+    """Simulate a motion in latent coordinates beside the body's own and show the errors."""
+    from dpc_ros.autoencoder import load_checkpoint, with_encoder
+    from dpc_ros.data import simulate_condition
+    from dpc_ros.network import Mechanics, load_network
+    from dpc_ros.reduction import CompressedSystem
+    from dpc_ros.reduction.comparison import compare
+    from dpc_ros.reduction.figure import animate, draw_energies, draw_errors, draw_frames
+    from dpc_ros.reduction.report import course, summary, table
+    from dpc_ros.results import write_results
+
+    network = load_network(options.network)
+    checkpoint = load_checkpoint(options.checkpoint)
+    checkpoint.check_network(network)
+    autoencoder = with_encoder(checkpoint.autoencoder(), options.encoder)
+    condition, trajectory = simulate_condition(network, options.simulation)
+    gravity = condition.gravity
+    system = CompressedSystem(Mechanics(network, gravity), autoencoder, int(network.mobile[0]))
+    comparison = compare(system, trajectory, options.step, options.method, progress=True)
+    folder = Path(options.output or REDUCED_FOLDER / f'{checkpoint.name}_{condition.simulation}')
+    print(f'network     {network.identifier}')
+    print(f'checkpoint  {checkpoint.identifier}, m = {system.latent_size}, {options.encoder}')
+    print(
+        f'simulation  {condition.simulation} ({condition.split}), gravity '
+        f'{gravity.magnitude:.3g} m/s² at {math.degrees(gravity.angle):.0f}°\n'
+    )
+    print(f'{table(comparison)}\n')
+    named = {checkpoint.name: comparison}
+    times = [fraction * comparison.time[-1] for fraction in (0.0, 0.1, 0.2, 0.4, 0.6, 1.0)]
+    draw_errors(comparison, folder / 'errors.png')
+    draw_energies(named, folder / 'energies.png')
+    draw_frames(named, times, folder / 'frames.png')
+    for name in ('errors', 'energies', 'frames'):
+        print(f'figure      {folder / name}.png')
+    if options.animation:
+        animate(named, folder / 'motion.gif', progress=True)
+        print(f'animation   {folder / "motion.gif"}')
+    if options.results:
+        write_results(options.results, [*course(comparison), summary(comparison)])
+        print(f'results     {options.results}')
+
+
 def paper(options: argparse.Namespace) -> None:
     """Run one of the paper's experiments: results as JSON, figures, or the tables of the docs."""
     from dpc_ros.paper.commands import run
@@ -282,6 +326,26 @@ def _parser() -> argparse.ArgumentParser:
         '--output', default=str(TRAINING_FOLDER), help=f'folder, default {TRAINING_FOLDER}'
     )
     command.add_argument('--results', help='JSON to write the table to, as in docs/results')
+
+    command = commands.add_parser('reduce', help=reduce.__doc__, description=reduce.__doc__)
+    command.set_defaults(command=reduce)
+    command.add_argument('network', help='shipped network by name, or path of its JSON file')
+    command.add_argument('--checkpoint', required=True, help='shipped one by name, or a JSON file')
+    command.add_argument(
+        '--encoder', default='projection', help='of the start: projection (default) or network'
+    )
+    command.add_argument(
+        '--simulation', type=int, default=14, help="number of the paper's condition, default 14"
+    )
+    command.add_argument(
+        '--step', type=float, default=0.02, metavar='S', help='of the simulation [s], default 0.02'
+    )
+    command.add_argument('--method', default='rk4', help='rk4 (default) or implicit_midpoint')
+    command.add_argument('--animation', action='store_true', help='write a GIF of the motion, too')
+    command.add_argument(
+        '--output', help=f'folder, default {REDUCED_FOLDER}/<checkpoint>_<simulation>'
+    )
+    command.add_argument('--results', help='JSON to write the numbers to, as in docs/results')
 
     command = commands.add_parser('paper', help=paper.__doc__, description=paper.__doc__)
     command.set_defaults(command=paper)

@@ -1,5 +1,6 @@
 """`dpc` as a user meets it: its help, its answers to bad input, and what it writes."""
 
+import json
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from dpc_ros.autoencoder import experiment
 from dpc_ros.data import load_dataset
 from dpc_ros.network import GeneratorSettings, generate_network, load_network, save_network
 
-COMMANDS = ['generate', 'draw', 'simulate', 'train', 'select', 'paper', 'converge']
+COMMANDS = ['generate', 'draw', 'simulate', 'train', 'select', 'reduce', 'paper', 'converge']
 
 
 @pytest.fixture
@@ -91,6 +92,24 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['select', '--config', 'nothing'], "'nothing'"),
         (['select', '--config', 'paper_2_flat_m5', '--grid', 'bad.yaml'], 'bad.yaml: expected'),
         (['select', '--config', 'paper_2_pod_m5'], "the paper has no grid for kind 'pod'"),
+        (['reduce', 'paper_2', '--checkpoint', 'nothing'], "'nothing'"),
+        (['reduce', 'paper_1', '--checkpoint', 'paper_2_pod_m5'], 'was trained on paper_2@'),
+        (
+            ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--simulation', '99'],
+            'simulation 99: expected one of 1 to 37',
+        ),
+        (
+            ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--step', '0.0123'],
+            'expected a multiple of 0.005 s',
+        ),
+        (
+            ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--encoder', 'none'],
+            "encoder 'none'",
+        ),
+        (
+            ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--method', 'euler'],
+            "unknown method 'euler'",
+        ),
         (['paper', 'nothing'], "no experiment 'nothing'"),
         (['converge', 'nothing'], 'nothing'),
         (['converge', 'bad.mcap'], 'bad.mcap'),
@@ -110,7 +129,7 @@ def test_bad_input_ends_with_one_line_and_leaves_nothing(dpc, tmp_path, argument
     assert 'Traceback' not in run.stderr
     # A bar of progress that was begun may stand before the error.
     lines = [line for line in run.stderr.splitlines() if line]
-    (error,) = [line for line in lines if not line.startswith('simulating')]
+    (error,) = [line for line in lines if not line.startswith(('simulating', 'reconstructing'))]
     assert error.startswith('error: ')
     assert message in error
     assert sorted(tmp_path.rglob('*')) == before
@@ -242,3 +261,19 @@ def test_draw_writes_a_picture(dpc, tmp_path, small_network):
         assert run.returncode == 0, run.stderr
         assert run.stdout == f'figure      {path}\n'
         assert (tmp_path / path).read_bytes().startswith(b'\x89PNG')
+
+
+def test_reduce_shows_the_errors_and_writes_pictures(dpc, tmp_path):
+    run = dpc(
+        'reduce', 'paper_2', '--checkpoint', 'paper_2_extended_m5', '--step', '0.05',
+        '--simulation', '18', '--output', 'here', '--results', 'reduced.json', '--animation',
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    names = {path.name for path in (tmp_path / 'here').iterdir()}
+    assert names == {'errors.png', 'energies.png', 'frames.png', 'motion.gif'}
+    *course, summary = json.loads((tmp_path / 'reduced.json').read_text())['rows']
+    assert [row['time_s'] for row in course] == pytest.approx(np.arange(101) * 0.05)
+    assert f'relative error of q     {summary["relative_error"]:.3%}' in run.stdout
+    # Of a test simulation, and what the docs promise of its system.
+    assert summary['relative_error_about_rest'] < 0.012
+    assert summary['energy_increase'] < 1e-6

@@ -9,14 +9,13 @@ import numpy as np
 
 from dpc_ros.bag.convergence import Convergence
 from dpc_ros.bag.convergence_table import describe_target
-from dpc_ros.files import replacing
+from dpc_ros.figure import new_figure, save_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _SIZE = (10.0, 10.0)  # inch
-_RESOLUTION = 150  # dots per inch
 _DARK, _GREY = '#222222', '#8a8a8a'
 _COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')  # Okabe and Ito
 _LARGEST_LEGEND = 8  # curves
@@ -27,12 +26,7 @@ def draw(convergence: Convergence, path: str | Path) -> None:
 
     The second panel shows the latent error where it is known, else the latent coordinates.
     """
-    # Half a second to import, which a recorder need not wait for.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=_SIZE, layout='constrained')
-    FigureCanvasAgg(figure)
+    figure = new_figure(*_SIZE)
     nmse, latent, force, energy = figure.subplots(4, 1, sharex=True)
     _draw_nmse(nmse, convergence)
     _draw_latent(latent, convergence)
@@ -47,8 +41,7 @@ def draw(convergence: Convergence, path: str | Path) -> None:
     energy.set_xlim(0, convergence.time[-1] or 1.0)
     figure.align_ylabels()
     _title(figure, convergence)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=_RESOLUTION, format='png')
+    save_figure(figure, path)
 
 
 def _draw_nmse(panel: Axes, convergence: Convergence) -> None:
@@ -122,9 +115,7 @@ def _draw_energy(panel: Axes, convergence: Convergence) -> None:
 
 
 def _finish(panel: Axes) -> None:
-    panel.grid(color='#e3e3e3', lw=0.7)
-    panel.set_axisbelow(True)
-    panel.spines[['top', 'right']].set_visible(False)
+    tidy(panel)
     panel.margins(y=0.08)
 
 

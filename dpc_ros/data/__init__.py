@@ -7,7 +7,7 @@ from dpc_ros.data.dataset import (
     make_dataset,
     save_dataset,
 )
-from dpc_ros.data.simulations import simulate_conditions
+from dpc_ros.data.simulations import simulate_condition, simulate_conditions
 from dpc_ros.data.thinning import thin
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     'load_dataset',
     'make_dataset',
     'save_dataset',
+    'simulate_condition',
     'simulate_conditions',
     'thin',
 ]

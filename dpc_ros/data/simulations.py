@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from dpc_ros.data.conditions import Condition
+from dpc_ros.data.conditions import Condition, test_conditions, training_conditions
 from dpc_ros.network import Integrator, MassSpringNetwork, Mechanics, Trajectory, simulate
 
 DURATION = 5.0  # s, of every simulation of the paper
@@ -52,3 +52,21 @@ def simulate_conditions(
                 f'{step} s: is the body too stiff, or too strongly damped, for that step?'
             )
         yield condition, trajectory
+
+
+def simulate_condition(network: MassSpringNetwork, number: int) -> tuple[Condition, Trajectory]:
+    """Simulate one of the paper's conditions by its number, after those that it starts from.
+
+    Raises:
+        ValueError: no condition has that number, or a simulation diverges.
+    """
+    series = (training_conditions(), test_conditions())
+    for conditions in series:
+        numbers = [condition.simulation for condition in conditions]
+        if number in numbers:
+            at = numbers.index(number)
+            starts = [i for i in range(at + 1) if conditions[i].start == 'rest']
+            *_, last = simulate_conditions(network, conditions[starts[-1] : at + 1])
+            return last
+    known = sorted(condition.simulation for conditions in series for condition in conditions)
+    raise ValueError(f'simulation {number}: expected one of {known[0]} to {known[-1]}')

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.files import replacing
+from dpc_ros.figure import new_figure, save_figure, tidy
 from dpc_ros.network.mass_spring_network import MassSpringNetwork, NetworkError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_RESOLUTION = 150  # dots per inch
 _LONGER_SIDE, _LEGEND = 8.0, 2.0  # inch
 _MARGIN = 0.05  # of the body's longer side
 _NARROWEST = 0.4  # of the body's longer side
@@ -71,9 +70,7 @@ def draw_network(
     low, high = _limits(position)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel='x [m]', ylabel='y [m]')
     axes.set_aspect('equal')
-    axes.grid(color='#e3e3e3', lw=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[['top', 'right']].set_visible(False)
+    tidy(axes)
     if legend:
         axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize='small')
 
@@ -112,18 +109,13 @@ def draw_figure(
         NetworkError: the configuration is not one of this network, or not finite.
         OSError: the file can't be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     low, high = _limits(_position(network, configuration))
     size = _LONGER_SIDE * (high - low) / (high - low).max()
-    figure = Figure(figsize=(size[0] + _LEGEND, size[1]), layout='constrained')
-    FigureCanvasAgg(figure)
+    figure = new_figure(size[0] + _LEGEND, size[1])
     axes = figure.subplots()
     draw_network(network, axes, configuration)
     axes.set_title(network.identifier, loc='left')
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=_RESOLUTION, format='png', bbox_inches='tight')
+    save_figure(figure, path)
 
 
 def _position(network: MassSpringNetwork, configuration: np.ndarray | None) -> np.ndarray:

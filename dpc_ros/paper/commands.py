@@ -1,4 +1,4 @@
-"""`dpc paper …`: each experiment writes docs/results/<name>.json and draws its figures."""
+"""`dpc paper …`: each experiment writes files in docs/results/ and draws its figures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from dpc_ros.paper import (
     interpretability,
     mse_table,
     noise,
+    over_time,
     pointwise,
+    reduced,
     systems,
     tables,
 )
@@ -25,14 +27,14 @@ TRAINING_SEED = 0  # of every recipe
 
 
 def run(experiment: str, workshop: Workshop, docs: Path) -> None:
-    """Run one experiment, or make the tables of the page from the results.
+    """Run one experiment, or make the tables of the pages from the results.
 
     Raises:
         ValueError: there is no such experiment, or a training can not be used.
     """
     if experiment == 'tables':
-        tables.write_tables(docs)
-        print(f'page        {docs / tables.PAGE}')
+        for page in tables.write_tables(docs):
+            print(f'page        {page}')
         return
     if experiment not in EXPERIMENTS:
         raise ValueError(f'no experiment {experiment!r}: expected one of {NAMES}')
@@ -40,11 +42,12 @@ def run(experiment: str, workshop: Workshop, docs: Path) -> None:
     torch.set_num_threads(1)
     name = experiment.replace('-', '_')
     measure, seed, draw = EXPERIMENTS[experiment]
-    rows = measure(workshop)
-    results = docs / 'results' / f'{name}.json'
-    write_results(results, rows, seed=seed)
-    print(f'results     {results}')
-    for figure in draw(workshop, rows, docs):
+    measured = measure(workshop)
+    for file, rows in (measured if isinstance(measured, dict) else {name: measured}).items():
+        results = docs / 'results' / f'{file}.json'
+        write_results(results, rows, seed=seed)
+        print(f'results     {results}')
+    for figure in draw(workshop, measured, docs):
         print(f'figure      {figure}')
 
 
@@ -82,12 +85,12 @@ def _interpretability(workshop: Workshop, rows: list[dict[str, Any]], docs: Path
 
 def _pointwise(workshop: Workshop, rows: list[dict[str, Any]], docs: Path) -> list[Path]:
     path = docs / 'pointwise.png'
-    pointwise.draw(rows, path)
+    over_time.draw(rows, path)
     return [path]
 
 
-_Measure = Callable[[Workshop], list[dict[str, Any]]]
-_Draw = Callable[[Workshop, list[dict[str, Any]], Path], list[Path]]
+_Measure = Callable[[Workshop], Any]  # the rows of one file, or of several by their names
+_Draw = Callable[[Workshop, Any, Path], list[Path]]
 
 EXPERIMENTS: dict[str, tuple[_Measure, int | None, _Draw]] = {
     'systems': (systems.measure, None, _systems),
@@ -96,5 +99,6 @@ EXPERIMENTS: dict[str, tuple[_Measure, int | None, _Draw]] = {
     'noise': (noise.measure, noise.SEED, _noise),
     'interpretability': (interpretability.measure, TRAINING_SEED, _interpretability),
     'pointwise': (pointwise.measure, TRAINING_SEED, _pointwise),
+    'reduced': (reduced.measure, TRAINING_SEED, reduced.draw),
 }
 NAMES = (*EXPERIMENTS, 'tables')

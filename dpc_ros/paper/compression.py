@@ -9,8 +9,9 @@ import numpy as np
 from tqdm import tqdm
 
 from dpc_ros.autoencoder.training import reconstruction_mse
+from dpc_ros.figure import new_figure, save_figure, tidy
 from dpc_ros.network import load_network
-from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
+from dpc_ros.paper.colours import COLOURS
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.published import published_mse, published_mse_by_size
 from dpc_ros.paper.recipes import FLAT, GRAPH, OURS, POD, SYSTEMS, Model

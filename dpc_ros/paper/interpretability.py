@@ -10,8 +10,8 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from dpc_ros.data import Dataset
+from dpc_ros.figure import new_figure, save_figure
 from dpc_ros.network import MassSpringNetwork, draw_springs, load_network
-from dpc_ros.paper.figure import new_figure, save_figure
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.recipes import FLAT, SYSTEMS
 

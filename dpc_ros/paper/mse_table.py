@@ -11,7 +11,8 @@ from tqdm import tqdm
 
 from dpc_ros.autoencoder import Autoencoder
 from dpc_ros.autoencoder.projection import ENCODERS
-from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
+from dpc_ros.figure import new_figure, save_figure, tidy
+from dpc_ros.paper.colours import COLOURS
 from dpc_ros.paper.models import Trained, Workshop, in_batches
 from dpc_ros.paper.published import best_test_mse, published_mse
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, POD, SYSTEMS, Model

@@ -9,7 +9,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dpc_ros.autoencoder.projection import ENCODERS
-from dpc_ros.paper.figure import COLOURS, new_figure, save_figure, tidy
+from dpc_ros.figure import new_figure, save_figure, tidy
+from dpc_ros.paper.colours import COLOURS
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.published import NOISE, NOISE_DEVIATIONS
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, SYSTEMS

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from dpc_ros.figure import new_figure, save_figure
 from dpc_ros.network import draw_network, load_network
-from dpc_ros.paper.figure import new_figure, save_figure
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.recipes import SYSTEMS
 

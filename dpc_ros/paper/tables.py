@@ -1,4 +1,4 @@
-"""The tables of docs/experiments.md, made from docs/results/*.json."""
+"""The tables of docs/experiments.md and of the README, made from docs/results/*.json."""
 
 from __future__ import annotations
 
@@ -17,21 +17,23 @@ from dpc_ros.paper.published import (
 )
 
 Rows = list[dict[str, Any]]
-PAGE = 'experiments.md'
+PAGES = ('experiments.md', '../README.md')  # beside the results
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
-def write_tables(docs: Path) -> None:
-    """Make every table of the experiments page anew from the results beside it.
+def write_tables(docs: Path) -> list[Path]:
+    """Make every table of the pages anew from the results beside them; return the pages.
 
     Raises:
-        FileNotFoundError: the page or a result is missing.
-        ValueError: the page asks for a table that there is none of.
+        FileNotFoundError: a page or a result is missing.
+        ValueError: a page asks for a table that there is none of.
     """
-    page = docs / PAGE
-    text = with_tables(page.read_text(), docs / 'results')
-    with replacing(page) as partial:
-        partial.write_text(text)
+    pages = [docs / name for name in PAGES]
+    texts = [with_tables(page.read_text(), docs / 'results') for page in pages]
+    for page, text in zip(pages, texts, strict=True):
+        with replacing(page) as partial:
+            partial.write_text(text)
+    return pages
 
 
 def with_tables(text: str, results: Path) -> str:
@@ -237,6 +239,60 @@ def _pointwise(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _results(rows: Rows) -> str:
+    """Return the medians of every model side by side, and more of ours."""
+    models = ('pod', 'graph', 'flat', 'ours')
+    names = ('POD', 'paper’s graph', 'paper’s flat', 'ours')
+    header = ['system', *(f'{name} [%]' for name in names), 'ours about rest [%]']
+    header += ['energy, ours [%]', 'stable step, ours [ms]']
+    body = []
+    for system in dict.fromkeys(row['system'] for row in rows):
+        of = {row['model']: row for row in rows if row['system'] == system}
+        ours = of['ours']
+        body.append(
+            [
+                system[-1],
+                *(_percent(of[model]['relative_error_median']) for model in models),
+                _percent(ours['relative_error_about_rest_median']),
+                _percent(ours['energy_error_median']),
+                _milliseconds(ours['stable_step_s']),
+            ]
+        )
+    return _markdown(header, body)
+
+
+def _reduced(rows: Rows) -> str:
+    header = [
+        'system',
+        'model',
+        'q [%]',
+        'about rest [%]',
+        'worst [%]',
+        'energy [%]',
+        'energy rises [%]',
+        'diverged',
+        'stable step [ms]',
+    ]
+    keys = (
+        'relative_error_median',
+        'relative_error_about_rest_median',
+        'relative_error_max',
+        'energy_error_median',
+        'energy_increase_max',
+    )
+    body = [
+        [
+            row['system'][-1],
+            row['model'],
+            *(_percent(row[key]) for key in keys),
+            str(row['diverged']),
+            _milliseconds(row['stable_step_s']),
+        ]
+        for row in rows
+    ]
+    return _markdown(header, body)
+
+
 _TABLES: dict[str, Callable[[Rows], str]] = {
     'reproduction': _reproduction,
     'ours': _ours,
@@ -247,11 +303,21 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'systems': _systems,
     'interpretability': _interpretability,
     'pointwise': _pointwise,
+    'reduced': _reduced,
+    'results': _results,
 }
 
 
 def _number(value: float | None) -> str:
     return '' if value is None else f'{value:.2e}'.replace('e-0', 'e-').replace('e+00', '')
+
+
+def _percent(value: float | None) -> str:
+    return '–' if value is None else f'{100 * value:.2g}'
+
+
+def _milliseconds(value: float | None) -> str:
+    return '–' if value is None else f'{1e3 * value:.0f}'
 
 
 def _markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:

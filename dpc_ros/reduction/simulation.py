@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from tqdm import tqdm
 
 from dpc_ros.reduction.compressed_system import CompressedSystem
 
@@ -46,6 +47,7 @@ def simulate_compressed(
     steps: int,
     force: Float[np.ndarray, ' 2'] | Float[np.ndarray, 'steps 2'] | None = None,
     method: str = 'rk4',
+    progress: bool = False,
 ) -> LatentTrajectory:
     """Integrate the compressed system over a number of steps.
 
@@ -59,6 +61,7 @@ def simulate_compressed(
         method: a key of `METHODS`: `rk4`, the classical Runge–Kutta method of order four on
             (ξ, ξ̇), or `implicit_midpoint` on (ξ, π), symplectic and symmetric in time where
             nothing damps (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1, VI.4).
+        progress: show a progress bar.
 
     Raises:
         ValueError: unknown method, a step that is not positive, or forces for another number of
@@ -78,7 +81,7 @@ def simulate_compressed(
     velocities = np.empty_like(latents)
     latents[0], velocities[0] = latent, velocity
     advance = METHODS[method]
-    for k in range(steps):
+    for k in tqdm(range(steps), desc='simulating', unit='step', disable=not progress):
         try:
             with np.errstate(all='ignore'):  # what is not finite is told below
                 state = advance(system, latents[k], velocities[k], forces[k], step)

@@ -34,6 +34,9 @@ class Counting(Autoencoder):
     def encoder_jacobian_vector_product(self, configuration, velocity, guess=None):
         return self.autoencoder.encoder_jacobian_vector_product(configuration, velocity)
 
+    def decode_with_derivatives(self, latent, latent_velocity):
+        return self.autoencoder.decode_with_derivatives(latent, latent_velocity)
+
     def decode_with_jacobian(self, latent):
         self.linearised += 1
         return self.autoencoder.decode_with_jacobian(latent)

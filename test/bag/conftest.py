@@ -138,6 +138,10 @@ class LinearAutoencoder(Autoencoder):
             self.matrix, (*latent.shape[:-1], *self.matrix.shape)
         )
 
+    def decode_with_derivatives(self, latent, latent_velocity):
+        decoded, jacobian = self.decode_with_jacobian(latent)
+        return decoded, jacobian, np.zeros_like(decoded)
+
     def decoder_curvature(self, latent, weight):
         return np.zeros((self.latent_size, self.latent_size))
 

@@ -1,23 +1,17 @@
 """One step of training of the paper's graph autoencoder: ours beside dense SAGE layers one by one.
 
-    python test/benchmarks/graph_training.py [--results docs/results/benchmarks.json]
-
 Both get the same weights and the same batch, take turns in one process on one thread, and their
 gradients are compared first. The ratio of the medians is what counts: the times are this machine's.
 """
 
-import argparse
-import statistics
-import time
-
 import numpy as np
 import torch
+from side_by_side import row, side_by_side
 from torch_geometric.nn import DenseSAGEConv
 
 from dpc_ros.autoencoder.architecture import GraphArchitecture
 from dpc_ros.autoencoder.graph_module import GraphModule
 from dpc_ros.network import load_network
-from dpc_ros.results import write_results
 
 BATCH = 256
 REPETITIONS = 15
@@ -62,10 +56,8 @@ def gradients(forward, parameters, q):
     return torch.autograd.grad(loss, parameters)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--results', help='JSON to write')
-    options = parser.parse_args()
+def measure():
+    """Return the row of this benchmark."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
     network = load_network('paper_2')
@@ -77,24 +69,7 @@ def main():
         gradients(ours, parameters, q), gradients(peer, parameters, q), strict=True
     ):
         torch.testing.assert_close(mine, other, rtol=1e-3, atol=1e-4 * float(other.abs().max()))
-    seconds = {'ours': [], 'peer': []}
-    for _ in range(REPETITIONS):
-        for name, forward in (('ours', ours), ('peer', peer)):
-            begin = time.perf_counter()
-            gradients(forward, parameters, q)
-            seconds[name].append(time.perf_counter() - begin)
-    medians = {name: statistics.median(values) for name, values in seconds.items()}
-    row = {
-        'benchmark': 'graph_training_step',
-        'ours_median_s': medians['ours'],
-        'peer': 'torch_geometric.nn.DenseSAGEConv',
-        'peer_median_s': medians['peer'],
-        'ratio': medians['peer'] / medians['ours'],
-    }
-    print(row)
-    if options.results:
-        write_results(options.results, [row], seed=0)
-
-
-if __name__ == '__main__':
-    main()
+    medians = side_by_side(
+        lambda: gradients(ours, parameters, q), lambda: gradients(peer, parameters, q), REPETITIONS
+    )
+    return [row('graph_training_step', 'torch_geometric.nn.DenseSAGEConv', *medians)]

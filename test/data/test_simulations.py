@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpc_ros.data import Condition, simulate_conditions
+from dpc_ros.data import Condition, simulate_condition, simulate_conditions
+from dpc_ros.data.conditions import test_conditions as held_out_conditions
+from dpc_ros.data.conditions import training_conditions
 from dpc_ros.network import Gravity, Integrator, Mechanics, simulate
 
 DURATION, STEP = 0.1, 0.005  # s
@@ -61,3 +63,21 @@ def test_a_body_too_stiff_for_the_step_is_reported(small_network):
     stiff = replace(small_network, stiffness=1e12 * small_network.stiffness)
     with pytest.raises(ValueError, match=r'simulation 1 of grid diverged .* step of 0\.005 s'):
         trajectories(stiff, 'rest')
+
+
+@pytest.mark.parametrize('number', [1, 3, 8, 10, 18])
+def test_a_condition_is_simulated_as_in_its_series(small_network, number):
+    conditions = training_conditions() if number < 8 else held_out_conditions()
+    condition, trajectory = simulate_condition(small_network, number)
+    for expected, in_series in simulate_conditions(small_network, conditions):
+        if expected.simulation == number:
+            assert condition == expected
+            np.testing.assert_array_equal(trajectory.configuration, in_series.configuration)
+            np.testing.assert_array_equal(trajectory.velocity, in_series.velocity)
+            return
+    pytest.fail(f'simulation {number} is not in its series')
+
+
+def test_a_condition_that_does_not_exist_is_refused(small_network):
+    with pytest.raises(ValueError, match='simulation 99: expected one of 1 to 37'):
+        simulate_condition(small_network, 99)

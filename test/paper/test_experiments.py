@@ -1,6 +1,7 @@
 """The experiments measure what they say, and the page and its figures follow from the results."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,17 @@ from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe, load_recipe
 from dpc_ros.autoencoder.training import reconstruction_mse
 from dpc_ros.network import load_network, save_network
-from dpc_ros.paper import commands, compression, mse_table, noise, pointwise, systems, tables
+from dpc_ros.paper import (
+    commands,
+    compression,
+    mse_table,
+    noise,
+    over_time,
+    pointwise,
+    reduced,
+    systems,
+    tables,
+)
 from dpc_ros.paper.models import Workshop, in_batches, parameters
 from dpc_ros.paper.published import best_test_mse, published_mse
 from dpc_ros.paper.recipes import EXTENDED, FLAT, GRAPH, OURS, POD, SYSTEMS, Model
@@ -97,6 +108,42 @@ def test_errors_of_the_pointwise_experiment_vanish_on_the_manifold(workshop, bod
     np.testing.assert_allclose(errors, 0, atol=1e-12)
 
 
+def test_models_are_compared_as_compressed_systems(workshop, body, monkeypatch, tmp_path):
+    model = small_model(body)
+    pod = Model(
+        'pod',
+        'paper',
+        'paper',
+        lambda system, m: [Recipe('linear', body, kind='pod', latent_size=2)],
+    )
+    models = ((pod, 'network'), (model, 'projection'))
+    monkeypatch.setattr(reduced, '_MODELS', models)
+    monkeypatch.setattr(reduced, 'LATENT_SIZE', 2)
+    monkeypatch.setattr(reduced, '_SHOWN_SYSTEM', body)
+    rows = reduced.measure(workshop, (body,))
+    assert [row['model'] for row in rows['reduced']] == ['pod', 'ours']
+    for row in rows['reduced']:
+        assert (row['simulations'], row['diverged']) == (28, 0)
+        assert 0 < row['relative_error_median'] <= row['relative_error_max']
+        assert row['relative_error_median'] < row['relative_error_about_rest_median']
+        assert row['stable_step_s'] in reduced.STEPS
+        assert row['energy_increase_max'] < 1e-2
+    times = sorted({row['time_s'] for row in rows['reduced_time']})
+    np.testing.assert_allclose(times, np.arange(251) * reduced.STEP)
+    assert len(rows['reduced_time']) == 2 * len(times)
+    figures = reduced.draw(workshop, rows, tmp_path)
+    assert [path.name for path in figures] == sorted(
+        (path.name for path in tmp_path.iterdir()), key=[f.name for f in figures].index
+    )
+
+
+def test_diverged_simulations_count_as_infinite_errors(workshop, body):
+    row = reduced.summary([8, 9, 10], [None, None, None])
+    assert row['diverged'] == row['simulations'] == 3
+    assert np.isnan(row['relative_error_median'])
+    assert row['relative_error_max_simulation'] == 8
+
+
 def test_batches_are_consecutive_and_whole():
     frames = np.arange(10)
     np.testing.assert_array_equal(np.concatenate(list(in_batches(frames, 4))), frames)
@@ -138,9 +185,27 @@ def test_published_values_are_found():
     assert best_test_mse('paper_1', 8) is None
 
 
-def test_tables_of_the_page_are_those_of_the_results():
-    page = (DOCS / tables.PAGE).read_text()
+@pytest.mark.parametrize('name', tables.PAGES)
+def test_tables_of_the_pages_are_those_of_the_results(name):
+    page = (DOCS / name).read_text()
+    assert '<!-- table' in page
     assert tables.with_tables(page, DOCS / 'results') == page
+
+
+def test_pages_are_written_whole_or_not_at_all(tmp_path):
+    docs = tmp_path / 'docs'
+    (docs / 'results').mkdir(parents=True)
+    mark = '<!-- table systems from systems -->\n<!-- end -->\n'
+    for name, text in zip(tables.PAGES, (mark, mark.replace('m sys', 'm no')), strict=True):
+        (docs / name).write_text(text)
+    shutil.copy(DOCS / 'results' / 'systems.json', docs / 'results')
+    with pytest.raises(FileNotFoundError):
+        tables.write_tables(docs)
+    assert (docs / tables.PAGES[0]).read_text() == mark
+    (docs / tables.PAGES[1]).write_text(mark)
+    assert len(tables.write_tables(docs)) == 2
+    for name in tables.PAGES:
+        assert '| system |' in (docs / name).read_text()
 
 
 def test_a_page_that_asks_for_an_unknown_table_is_refused():
@@ -155,7 +220,8 @@ def test_a_page_that_asks_for_an_unknown_table_is_refused():
         ('mse_table', mse_table),
         ('compression', compression),
         ('noise', noise),
-        ('pointwise', pointwise),
+        ('pointwise', over_time),
+        ('reduced_time', over_time),
         ('systems', systems),
     ],
 )

@@ -1,4 +1,4 @@
-"""Figures of the experiments: one look, saved whole or not at all."""
+"""Figures: one look, saved whole or not at all. matplotlib is loaded when one is made."""
 
 from __future__ import annotations
 
@@ -12,14 +12,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RESOLUTION = 130  # dots per inch
-COLOURS = {  # Okabe and Ito
-    'flat': '#0072b2',
-    'graph': '#009e73',
-    'pod': '#8a8a8a',
-    'ours': '#d55e00',
-    'projection': '#cc79a7',
-    'paper': '#222222',
-}
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -39,7 +31,7 @@ def tidy(panel: Axes) -> None:
     panel.spines[['top', 'right']].set_visible(False)
 
 
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG."""
     with replacing(path) as partial:
         figure.savefig(partial, dpi=_RESOLUTION, format='png')

@@ -1,0 +1,32 @@
+"""Two ways of doing the same, timed in turns in one process: their ratio is what counts."""
+
+import statistics
+import time
+
+
+def side_by_side(ours, peer, repetitions, calls=1):
+    """Return the median seconds of a call of each, after one to warm up.
+
+    They take turns of some calls at a stretch, as in a loop that finds its data in the cache.
+    """
+    seconds = {ours: [], peer: []}
+    for function in (ours, peer):
+        function()
+    for _ in range(repetitions):
+        for function, times in seconds.items():
+            begin = time.perf_counter()
+            for _ in range(calls):
+                function()
+            times.append((time.perf_counter() - begin) / calls)
+    return statistics.median(seconds[ours]), statistics.median(seconds[peer])
+
+
+def row(benchmark, peer, ours_median, peer_median):
+    """Return the row of docs/results/benchmarks.json."""
+    return {
+        'benchmark': benchmark,
+        'ours_median_s': ours_median,
+        'peer': peer,
+        'peer_median_s': peer_median,
+        'ratio': peer_median / ours_median,
+    }
