@@ -338,7 +338,7 @@ def _parser() -> argparse.ArgumentParser:
         '--simulation', type=int, default=14, help="number of the paper's condition, default 14"
     )
     command.add_argument(
-        '--step', type=float, default=0.02, metavar='S', help='of the simulation [s], default 0.02'
+        '--step', type=number, default=0.02, metavar='S', help='of the simulation [s], default 0.02'
     )
     command.add_argument('--method', default='rk4', help='rk4 (default) or implicit_midpoint')
     command.add_argument('--animation', action='store_true', help='write a GIF of the motion, too')

@@ -24,7 +24,7 @@ def write_results(
 
     Args:
         path: file to write.
-        rows: one flat object each, SI units; NaN becomes null.
+        rows: one flat object each, SI units; what is not finite becomes null.
         seed: of what was random, none where nothing was.
     """
     content = {
@@ -37,11 +37,11 @@ def write_results(
         'rows': [{key: _plain(value) for key, value in row.items()} for row in rows],
     }
     with replacing(path) as partial:
-        partial.write_text(json.dumps(content, indent=1) + '\n')
+        partial.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
 
 
 def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _commit() -> str:

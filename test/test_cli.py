@@ -59,6 +59,8 @@ def test_version(dpc):
         ['simulate', 'grid', '--colour', 'red'],
         ['generate', 'mine', '--mass', '1/0'],
         ['generate', 'mine', '--mass', 'nan'],
+        ['reduce', 'paper_2'],
+        ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--step', 'inf'],
     ],
 )
 def test_bad_usage_shows_the_usage(dpc, arguments):
@@ -109,6 +111,10 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (
             ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--method', 'euler'],
             "unknown method 'euler'",
+        ),
+        (
+            ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--step', '0.25'],
+            'diverged with steps of 0.25 s',
         ),
         (['paper', 'nothing'], "no experiment 'nothing'"),
         (['converge', 'nothing'], 'nothing'),

@@ -25,11 +25,21 @@ ROOT = share_directory()
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
 
+def anchors(page):
+    """Return the anchors of a page's titles, as GitHub makes them."""
+    text = re.sub(r'^```.*?^```', '', page.read_text(), flags=re.M | re.S)
+    titles = re.findall(r'^#+ (.*)', text, re.M)
+    return {re.sub(r'[^\w\- ]', '', title).lower().replace(' ', '-') for title in titles}
+
+
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files(page):
-    for link in re.findall(r'\]\(([^)#]+)\)', page.read_text()):
+    for link, anchor in re.findall(r'\]\(([^)#]*)(?:#([^)]+))?\)', page.read_text()):
         if '://' not in link:
-            assert (page.parent / link).exists(), link
+            target = page.parent / link if link else page
+            assert target.exists(), link
+            if anchor:
+                assert anchor in anchors(target), anchor
 
 
 def test_table_in_the_readme_is_the_recorded_result():
@@ -59,6 +69,19 @@ def test_example_of_the_control_page_is_the_demonstration():
     assert len(run.force) == 21
     # Other machines round differently in the last digits.
     assert np.linalg.norm(run.force[0]) == pytest.approx(recorded[0]['force_N'], rel=1e-6)
+
+
+def test_example_of_the_reduction_page_follows_the_body():
+    (example,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/reduction.md').read_text(), re.S)
+    names = {}
+    exec(example, names)
+    system, network = names['system'], names['network']
+    rest = network.rest_configuration
+    integrator = Integrator(system.mechanics, 0.02 / 4)
+    force = system.full_input_field @ names['push']
+    full = simulate(integrator, rest, np.zeros_like(rest), 1000, force).configuration[::4]
+    error = np.linalg.norm(names['configurations'] - full)
+    assert error < 0.05 * np.linalg.norm(full - rest)
 
 
 def test_sample_log_is_whole():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,20 +42,18 @@ def percentile_rows(
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw medians with the 20th to 80th percentiles over time, a column each system."""
     systems = list(dict.fromkeys(row['system'] for row in rows))
-    models = list(dict.fromkeys((row['model'], row['encoder']) for row in rows))
+    keys = ('model', 'encoder', 'training_data')
+    models = list(dict.fromkeys(tuple(row[key] for key in keys) for row in rows))
     figure = new_figure(3.0 * len(systems), 8)
     panels = figure.subplots(
         len(QUANTITIES), len(systems), sharex=True, sharey='row', squeeze=False
     )
     for column, system in zip(panels.T, systems, strict=True):
         column[0].set_title(f'system {system[-1]}')
-        for model, encoder in models:
-            wanted = {'system': system, 'model': model, 'encoder': encoder}
+        for variant in models:
+            wanted = {'system': system, **dict(zip(keys, variant, strict=True))}
             chosen = [row for row in rows if wanted.items() <= row.items()]
-            # The projection has a colour of its own where a model comes with both encoders.
-            apart = encoder == 'projection' and (model, 'network') in models
-            colour = COLOURS['projection' if apart else model]
-            label = f'{model}, projection' if encoder == 'projection' else model
+            colour, label = _appearance(variant, models)
             time = [row['time_s'] for row in chosen]
             for panel, quantity in zip(column, QUANTITIES, strict=True):
                 low, median, high = (
@@ -72,3 +70,16 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=4, frameon=False)
     save_figure(figure, path)
+
+
+_Variant = tuple[str, str, str]  # model, encoder, training data
+
+
+def _appearance(variant: _Variant, every: Sequence[_Variant]) -> tuple[str, str]:
+    """Return colour and label of a variant; the second one of a model has a colour of its own."""
+    model, encoder, data = variant
+    of_model = [each for each in every if each[0] == model]
+    colour = COLOURS['projection' if of_model.index(variant) else model]
+    label = model + (', projection' if encoder == 'projection' else '')
+    several_data = len({each[2] for each in of_model}) > 1
+    return colour, label + (', more data' if several_data and data == 'extended' else '')

@@ -241,21 +241,26 @@ def _pointwise(rows: Rows) -> str:
 
 def _results(rows: Rows) -> str:
     """Return the medians of every model side by side, and more of ours."""
-    models = ('pod', 'graph', 'flat', 'ours')
-    names = ('POD', 'paper’s graph', 'paper’s flat', 'ours')
-    header = ['system', *(f'{name} [%]' for name in names), 'ours about rest [%]']
-    header += ['energy, ours [%]', 'stable step, ours [ms]']
+    columns = (
+        ('POD [%]', 'pod', 'paper'),
+        ('graph [%]', 'graph', 'paper'),
+        ('flat [%]', 'flat', 'paper'),
+        ('ours [%]', 'ours', 'paper'),
+        ('ours, more data [%]', 'ours', 'extended'),
+    )
+    header = ['system', *(column[0] for column in columns)]
+    header += ['… about rest [%]', '… energy [%]', '… stable step [ms]']
     body = []
     for system in dict.fromkeys(row['system'] for row in rows):
-        of = {row['model']: row for row in rows if row['system'] == system}
-        ours = of['ours']
+        of = {(row['model'], row['training_data']): row for row in rows if row['system'] == system}
+        best = of['ours', 'extended']
         body.append(
             [
                 system[-1],
-                *(_percent(of[model]['relative_error_median']) for model in models),
-                _percent(ours['relative_error_about_rest_median']),
-                _percent(ours['energy_error_median']),
-                _milliseconds(ours['stable_step_s']),
+                *(_percent(of[column[1:]]['relative_error_median']) for column in columns),
+                _percent(best['relative_error_about_rest_median']),
+                _percent(best['energy_error_median']),
+                _milliseconds(best['stable_step_s']),
             ]
         )
     return _markdown(header, body)
@@ -283,7 +288,7 @@ def _reduced(rows: Rows) -> str:
     body = [
         [
             row['system'][-1],
-            row['model'],
+            row['model'] + (', more data' if row['training_data'] == 'extended' else ''),
             *(_percent(row[key]) for key in keys),
             str(row['diverged']),
             _milliseconds(row['stable_step_s']),

@@ -5,6 +5,7 @@ from dpc_ros.reduction.simulation import (
     METHODS,
     DivergenceError,
     LatentTrajectory,
+    UnsolvedStepError,
     simulate_compressed,
 )
 
@@ -13,5 +14,6 @@ __all__ = [
     'CompressedSystem',
     'DivergenceError',
     'LatentTrajectory',
+    'UnsolvedStepError',
     'simulate_compressed',
 ]

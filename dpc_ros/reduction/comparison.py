@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from tqdm import tqdm
 
-from dpc_ros.autoencoder import Autoencoder
 from dpc_ros.network import MassSpringNetwork, Mechanics, Trajectory
 from dpc_ros.reduction.compressed_system import CompressedSystem
-from dpc_ros.reduction.simulation import simulate_compressed
+from dpc_ros.reduction.simulation import DivergenceError, check_method, simulate_compressed
 
+_CHUNK = 100  # frames that are decoded at a time
 Series = Float[np.ndarray, ' frames']
 
 
@@ -43,18 +43,33 @@ class Comparison:
     """One motion three times: as the body makes it, reconstructed, and simulated compressed.
 
     Attributes:
-        network: the body.
+        system: the compressed system.
         step: time between two frames [s].
         full: the body's own motion.
-        pointwise: each frame of it encoded and decoded, D(E(q)) and JJ_E q̇ (paper, section IV).
         compressed: what the compressed system makes of the first frame, D(ξ(t)) and Jξ̇(t).
     """
 
-    network: MassSpringNetwork
+    system: CompressedSystem
     step: float
     full: Motion
-    pointwise: Motion
     compressed: Motion
+
+    @property
+    def network(self) -> MassSpringNetwork:
+        """The body."""
+        return self.system.mechanics.network
+
+    @cached_property
+    def pointwise(self) -> Motion:
+        """Each frame of the body's motion encoded and decoded, D(E(q)) and JJ_E q̇ (section IV)."""
+        autoencoder = self.system.autoencoder
+        latents, velocities = [], []
+        guess: np.ndarray | None = None
+        for state in zip(self.full.configuration, self.full.velocity, strict=True):
+            guess, velocity = autoencoder.encoder_jacobian_vector_product(*state, guess)
+            latents.append(guess)
+            velocities.append(velocity)
+        return _decoded(self.system, np.array(latents), np.array(velocities))
 
     @property
     def time(self) -> Series:
@@ -94,9 +109,12 @@ class Comparison:
 
     @property
     def energy_increase(self) -> float:
-        """Largest rise of the compressed energy between two frames, over the energy's range."""
-        rise = np.diff(self.compressed.total).max()
-        return float(max(rise, 0.0) / np.ptp(self.full.total))
+        """Largest rise of the compressed energy above an earlier frame's, over the energy's range.
+
+        Without input force the energy can only fall: it is the integrator's.
+        """
+        energy = self.compressed.total
+        return float((energy - np.minimum.accumulate(energy)).max() / np.ptp(self.full.total))
 
     @property
     def _distance(self) -> float:
@@ -117,59 +135,50 @@ def compare(
         trajectory: the motion of the body.
         step: of the compressed simulation [s], a multiple of the motion's.
         method: of the compressed simulation, a key of `METHODS`.
-        progress: show progress bars.
+        progress: show a progress bar.
 
     Raises:
-        ValueError: the step is no multiple of the motion's, or the motion is shorter than it.
-        DivergenceError: the compressed simulation diverges.
+        ValueError: there is no such method, the step is no multiple of the motion's, or the motion
+            is shorter than it.
+        DivergenceError: the compressed simulation diverges: its energy rises by more than the range
+            of the body's.
     """
-    stride = round(step / trajectory.step)
-    if stride < 1 or not np.isclose(stride * trajectory.step, step, rtol=1e-9):
+    check_method(method)
+    stride = step / trajectory.step if np.isfinite(step) else 0.0
+    if not (stride > 0.5 and np.isclose(stride, round(stride), rtol=1e-9)):
         raise ValueError(f'step {step:g} s: expected a multiple of {trajectory.step:g} s')
     if stride >= len(trajectory.configuration):
         raise ValueError(f'step {step:g} s: expected one shorter than the motion')
-    q, velocity = trajectory.configuration[::stride], trajectory.velocity[::stride]
-    pointwise = _reconstructed(system.autoencoder, q, velocity, progress)
-    latent, latent_velocity = system.autoencoder.encoder_jacobian_vector_product(q[0], velocity[0])
-    simulated = simulate_compressed(
-        system, latent, latent_velocity, step, len(q) - 1, method=method, progress=progress
+    frames = slice(None, None, round(stride))
+    full = _motion(system.mechanics, trajectory.configuration[frames], trajectory.velocity[frames])
+    start = system.autoencoder.encoder_jacobian_vector_product(
+        full.configuration[0], full.velocity[0]
     )
-    decoded = [
-        _decoded(system.autoencoder, *state)
-        for state in zip(simulated.latent, simulated.velocity, strict=True)
-    ]
-    return Comparison(
-        network=system.mechanics.network,
-        step=step,
-        full=_motion(system.mechanics, q, velocity),
-        pointwise=_motion(system.mechanics, *pointwise),
-        compressed=_motion(system.mechanics, *map(np.array, zip(*decoded, strict=True))),
-    )
-
-
-def _reconstructed(
-    autoencoder: Autoencoder,
-    configuration: Float[np.ndarray, 'frames n'],
-    velocity: Float[np.ndarray, 'frames n'],
-    progress: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    decoded = []
-    guess: np.ndarray | None = None
-    states = list(zip(configuration, velocity, strict=True))
-    for q, q_dot in tqdm(states, desc='reconstructing', unit='frame', disable=not progress):
-        guess, latent_velocity = autoencoder.encoder_jacobian_vector_product(q, q_dot, guess)
-        decoded.append(_decoded(autoencoder, guess, latent_velocity))
-    positions, velocities = zip(*decoded, strict=True)
-    return np.array(positions), np.array(velocities)
+    steps = len(full.configuration) - 1
+    simulated = simulate_compressed(system, *start, step, steps, method=method, progress=progress)
+    with np.errstate(all='ignore'):  # what diverges is told below
+        compressed = _decoded(system, simulated.latent, simulated.velocity)
+        comparison = Comparison(system, step, full, compressed)
+        if not comparison.energy_increase <= 1.0:
+            raise DivergenceError(
+                f'the compressed simulation diverged with steps of {step:g} s: its energy, which '
+                'can only fall, rises by more than its range; take shorter steps'
+            )
+    return comparison
 
 
 def _decoded(
-    autoencoder: Autoencoder,
-    latent: Float[np.ndarray, ' m'],
-    latent_velocity: Float[np.ndarray, ' m'],
-) -> tuple[np.ndarray, np.ndarray]:
-    configuration, jacobian = autoencoder.decode_with_jacobian(latent)
-    return configuration, jacobian @ latent_velocity
+    system: CompressedSystem,
+    latent: Float[np.ndarray, 'frames m'],
+    latent_velocity: Float[np.ndarray, 'frames m'],
+) -> Motion:
+    parts = []
+    for start in range(0, len(latent), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        configuration, jacobian = system.autoencoder.decode_with_jacobian(latent[part])
+        velocity = np.einsum('kia,ka->ki', jacobian, latent_velocity[part])
+        parts.append((configuration, velocity))
+    return _motion(system.mechanics, *map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _motion(mechanics: Mechanics, configuration: np.ndarray, velocity: np.ndarray) -> Motion:

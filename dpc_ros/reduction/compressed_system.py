@@ -134,7 +134,7 @@ class CompressedSystem:
         self,
         latent: Float[np.ndarray, '*batch m'],
         velocity: Float[np.ndarray, '*batch m'],
-        force: Float[np.ndarray, '*batch 2'] | None = None,
+        force: Float[np.ndarray, ' 2'] | Float[np.ndarray, '*batch 2'] | None = None,
     ) -> Float[np.ndarray, '*batch m']:
         """Return ξ̈ = M_η⁻¹[Γu − JᵀM(J̇ξ̇) − Δξ̇ − ∇V_η] under a force u [N].
 
@@ -142,13 +142,13 @@ class CompressedSystem:
         has at (D(ξ), Jξ̇) (Gauss's principle of least constraint). Compiled for dense decoders.
 
         Raises:
+            ValueError: state or force have other shapes.
             LinAlgError: the mass matrix is singular, or its values are not finite.
         """
-        if force is None:
-            force = np.zeros((*latent.shape[:-1], 2))
         rows = [
-            np.ascontiguousarray(value.reshape(-1, value.shape[-1]), float)
-            for value in (latent, velocity, force)
+            self._rows('latent', latent, (*latent.shape[:-1], self.latent_size)),
+            self._rows('velocity', velocity, latent.shape),
+            self._rows('force', np.zeros(2) if force is None else force, (*latent.shape[:-1], 2)),
         ]
         if self._decoder is None:
             accelerations = self._accelerations(*rows)
@@ -172,6 +172,15 @@ class CompressedSystem:
         return bend @ velocity - jacobian.T @ (
             static + self.mechanics.damping_force(configuration, full)
         )
+
+    @staticmethod
+    def _rows(what: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """Return one row for each state, as the kernel takes them: it checks no bounds."""
+        try:
+            rows = np.broadcast_to(value, shape).reshape(-1, shape[-1])
+        except ValueError:
+            raise ValueError(f'{what}: expected the shape {shape}, got {value.shape}') from None
+        return np.array(rows, float, order='C')  # a copy: read-only ones would be compiled for anew
 
     def _accelerations(
         self,

@@ -28,6 +28,7 @@ _ENERGIES = ('kinetic', 'potential', 'total')
 _MARGIN = 0.05  # of the body's larger side
 _GIF_RESOLUTION = 80  # dots per inch
 _GIF_COLOURS = 64
+_PICTURE = 0.04  # s that one is shown
 
 
 def draw_errors(comparison: Comparison, path: Path) -> None:
@@ -71,7 +72,7 @@ def draw_frames(comparisons: Mapping[str, Comparison], times: Sequence[float], p
     """Draw the three bodies over one another at some times [s], a row each model."""
     low, high = _limits(list(comparisons.values()))
     width, height = 2.2, 2.2 * (high - low)[1] / (high - low)[0]
-    figure = new_figure(width * len(times), 0.7 + (height + 0.3) * len(comparisons))
+    figure = new_figure(width * len(times), 0.9 + (0.85 * height + 0.2) * len(comparisons))
     panels = figure.subplots(len(comparisons), len(times), sharex=True, sharey=True, squeeze=False)
     for row, (name, comparison) in zip(panels, comparisons.items(), strict=True):
         for panel, time in zip(row, times, strict=True):
@@ -90,14 +91,14 @@ def draw_frames(comparisons: Mapping[str, Comparison], times: Sequence[float], p
 
 
 def animate(
-    comparisons: Mapping[str, Comparison], path: Path, every: int = 2, progress: bool = False
+    comparisons: Mapping[str, Comparison], path: Path, every: int = 0, progress: bool = False
 ) -> None:
     """Draw the three bodies moving in real time as GIF, a column each model.
 
     Args:
         comparisons: of one motion, at the same steps, by the model.
         path: GIF to write.
-        every: frames of the motion per picture.
+        every: frames of the motion per picture; about 25 pictures a second where it is zero.
         progress: show a progress bar.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -111,6 +112,7 @@ def animate(
     panels = figure.subplots(1, len(comparisons), sharex=True, sharey=True, squeeze=False)[0]
     figure.set_dpi(_GIF_RESOLUTION)
     pictures = []
+    every = every or max(round(_PICTURE / first.step), 1)
     frames = range(0, len(first.time), every)
     for frame in tqdm(frames, desc='drawing', unit='picture', disable=not progress):
         for panel, (name, comparison) in zip(panels, comparisons.items(), strict=True):

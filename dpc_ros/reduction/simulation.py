@@ -7,16 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import root
 from tqdm import tqdm
 
 from dpc_ros.reduction.compressed_system import CompressedSystem
 
-_TOLERANCE = 1e-12  # of an implicit step's latent velocity, relative to its largest value
-_ITERATIONS = 50
+_TOLERANCE = 1e-13  # of an implicit step's latent velocity, relative, at which its search ends
+_RESIDUAL = 1e-11  # of the momenta in an implicit step, relative, at which it is solved
 
 
 class DivergenceError(ValueError):
     """A compressed simulation that left every bound: the step is too long, or the decoder fails."""
+
+
+class UnsolvedStepError(DivergenceError):
+    """An implicit step whose equation was not solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,19 +69,29 @@ def simulate_compressed(
         progress: show a progress bar.
 
     Raises:
-        ValueError: unknown method, a step that is not positive, or forces for another number of
-            steps.
-        DivergenceError: a state is not finite, or an implicit step was not solved.
+        ValueError: unknown method, a step that is not positive, states or forces of another shape
+            or not finite.
+        DivergenceError: a state is no longer finite, or an implicit step was not solved.
     """
-    if method not in METHODS:
-        raise ValueError(f'unknown method {method!r}: choose one of {sorted(METHODS)}')
+    check_method(method)
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f'step: expected a time > 0 s, got {step}')
-    if force is not None and force.shape not in ((2,), (steps, 2)):
+    if not isinstance(steps, int | np.integer) or steps < 0:
+        raise ValueError(f'steps: expected a whole number ≥ 0, got {steps!r}')
+    latent, velocity = np.asarray(latent, float), np.asarray(velocity, float)
+    if latent.shape[-1:] != (system.latent_size,) or velocity.shape != latent.shape:
         raise ValueError(
-            f'force: expected u, or one for each of {steps} steps, got the shape {force.shape}'
+            f'state: expected {system.latent_size} latents and as many velocities, got the shapes '
+            f'{latent.shape} and {velocity.shape}'
         )
-    forces = np.broadcast_to(np.zeros(2) if force is None else force, (steps, 2))
+    forces = np.zeros(2) if force is None else np.asarray(force, float)
+    if forces.shape not in ((2,), (steps, 2)):
+        raise ValueError(
+            f'force: expected u, or one for each of {steps} steps, got the shape {forces.shape}'
+        )
+    forces = np.broadcast_to(forces, (steps, 2))
+    if not all(np.isfinite(values).all() for values in (latent, velocity, forces)):
+        raise ValueError('state and force: expected finite numbers')
     latents = np.empty((steps + 1, *latent.shape))
     velocities = np.empty_like(latents)
     latents[0], velocities[0] = latent, velocity
@@ -87,10 +102,22 @@ def simulate_compressed(
                 state = advance(system, latents[k], velocities[k], forces[k], step)
         except np.linalg.LinAlgError as error:
             raise _diverged(k, step) from error
+        except UnsolvedStepError as error:
+            raise UnsolvedStepError(f'at {k * step:g} s: {error}') from None
         latents[k + 1], velocities[k + 1] = state
         if not np.isfinite(state).all():
             raise _diverged(k, step)
     return LatentTrajectory(float(step), latents, velocities)
+
+
+def check_method(method: str) -> None:
+    """Make sure that there is a method of a name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if method not in METHODS:
+        raise ValueError(f'unknown method {method!r}: choose one of {sorted(METHODS)}')
 
 
 def _diverged(k: int, step: float) -> DivergenceError:
@@ -161,25 +188,28 @@ def _middle_velocity(
 ) -> Float[np.ndarray, ' m']:
     """Solve M_η(ξ + ½hv)v = π + ½hπ̇(ξ + ½hv, v) for the velocity v at the middle of a step.
 
-    By Newton's method with the slope M_η + ½hΔ + ¼h²∇²V_η, which leaves out how M_η and the
-    convective force change: both are small against it, so that a few iterations end at rounding.
+    By Powell's hybrid method from the velocity that the acceleration foretells.
+
+    Raises:
+        UnsolvedStepError: no convergence, or no solution: there need not be one for a long step.
     """
     half = 0.5 * step
-    start = latent + half * velocity
-    slope = (
-        system.mass_matrix(start)
-        + half * system.damping_matrix(start)
-        + half**2 * system.potential_hessian(start, force)
-    )
-    middle = velocity
-    for _ in range(_ITERATIONS):
-        point = latent + half * middle
-        rate = system.momentum_rate(point, middle, force)
-        change = np.linalg.solve(slope, momentum + half * rate - system.momentum(point, middle))
-        middle = middle + change
-        if np.abs(change).max() <= _TOLERANCE * max(np.abs(middle).max(), 1.0):
-            return middle
-    raise np.linalg.LinAlgError('the implicit step was not solved')
+
+    def lack(v: np.ndarray) -> np.ndarray:
+        point = latent + half * v
+        rate = system.momentum_rate(point, v, force)
+        return momentum + half * rate - system.momentum(point, v)
+
+    start = velocity + half * system.acceleration(latent, velocity, force)
+    solution = root(lack, start, method='hybr', options={'xtol': _TOLERANCE})
+    moved = half * np.abs(system.momentum_rate(latent, velocity, force)).max()
+    # Not by its own judgement: at rounding it finds that it makes no progress.
+    if not np.abs(solution.fun).max() <= _RESIDUAL * (np.abs(momentum).max() + moved):
+        raise UnsolvedStepError(
+            f'an implicit step of {step:g} s was not solved: take shorter ones, or rk4 (where the '
+            'decoder bends much within a step there may be no solution)'
+        )
+    return solution.x
 
 
 METHODS: dict[str, Callable[..., State]] = {

@@ -10,6 +10,8 @@ import pytest
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.autoencoder.recipe import Recipe, load_recipe
 from dpc_ros.autoencoder.training import reconstruction_mse
+from dpc_ros.data import simulate_conditions
+from dpc_ros.data.conditions import test_conditions as held_out_conditions
 from dpc_ros.network import load_network, save_network
 from dpc_ros.paper import (
     commands,
@@ -108,40 +110,71 @@ def test_errors_of_the_pointwise_experiment_vanish_on_the_manifold(workshop, bod
     np.testing.assert_allclose(errors, 0, atol=1e-12)
 
 
-def test_models_are_compared_as_compressed_systems(workshop, body, monkeypatch, tmp_path):
-    model = small_model(body)
-    pod = Model(
-        'pod',
-        'paper',
-        'paper',
-        lambda system, m: [Recipe('linear', body, kind='pod', latent_size=2)],
-    )
-    models = ((pod, 'network'), (model, 'projection'))
-    monkeypatch.setattr(reduced, '_MODELS', models)
+@pytest.fixture
+def small_reduced(body, monkeypatch):
+    """The experiment on the small body, with two small models and its first test simulations."""
+    linear = Recipe('linear', body, kind='pod', latent_size=2)
+    pod = Model('pod', 'paper', 'paper', lambda system, m: [linear])
+    conditions = held_out_conditions()[:5]
+    monkeypatch.setattr(reduced, 'test_conditions', lambda: conditions)
+    monkeypatch.setattr(reduced, '_MODELS', ((pod, 'network'), (small_model(body), 'projection')))
     monkeypatch.setattr(reduced, 'LATENT_SIZE', 2)
     monkeypatch.setattr(reduced, '_SHOWN_SYSTEM', body)
-    rows = reduced.measure(workshop, (body,))
+    monkeypatch.setattr(reduced, '_SHOWN', {'flat': pod})
+    monkeypatch.setattr(reduced, '_ANIMATED', ())
+    monkeypatch.setattr(reduced, 'animate', lambda *arguments, **options: None)
+    return reduced
+
+
+def test_models_are_compared_as_compressed_systems(workshop, body, small_reduced, tmp_path):
+    rows = small_reduced.measure(workshop, (body,))
     assert [row['model'] for row in rows['reduced']] == ['pod', 'ours']
     for row in rows['reduced']:
-        assert (row['simulations'], row['diverged']) == (28, 0)
+        assert (row['simulations'], row['diverged']) == (5, 0)
         assert 0 < row['relative_error_median'] <= row['relative_error_max']
         assert row['relative_error_median'] < row['relative_error_about_rest_median']
         assert row['stable_step_s'] in reduced.STEPS
-        assert row['energy_increase_max'] < 1e-2
+        assert row['energy_increase_max'] < 1e-9
     times = sorted({row['time_s'] for row in rows['reduced_time']})
-    np.testing.assert_allclose(times, np.arange(251) * reduced.STEP)
+    np.testing.assert_allclose(times, np.arange(101) * 0.05)
     assert len(rows['reduced_time']) == 2 * len(times)
-    figures = reduced.draw(workshop, rows, tmp_path)
-    assert [path.name for path in figures] == sorted(
-        (path.name for path in tmp_path.iterdir()), key=[f.name for f in figures].index
-    )
+    drawn = {path.name for path in small_reduced.draw(workshop, rows, tmp_path)}
+    assert {path.name for path in tmp_path.iterdir()} == drawn - {'reduced.gif'}
 
 
-def test_diverged_simulations_count_as_infinite_errors(workshop, body):
-    row = reduced.summary([8, 9, 10], [None, None, None])
-    assert row['diverged'] == row['simulations'] == 3
-    assert np.isnan(row['relative_error_median'])
-    assert row['relative_error_max_simulation'] == 8
+@pytest.fixture
+def held_out(small_network):
+    return list(simulate_conditions(small_network, held_out_conditions()[:3]))
+
+
+def test_the_stable_step_is_the_longest_without_a_rise(small_network, small_autoencoder, held_out):
+    autoencoder = small_autoencoder(3)
+    longest = reduced.stable_step(small_network, autoencoder, held_out)
+    for step in reduced.STEPS:
+        each = [reduced.compared(small_network, autoencoder, step, *one) for one in held_out]
+        stable = all(one is not None and one.energy_increase < 0.01 for one in each)
+        assert stable == (step <= longest)
+    stiff = replace(small_network, stiffness=1e4 * small_network.stiffness)
+    assert np.isnan(reduced.stable_step(stiff, autoencoder, held_out))
+
+
+def test_diverged_simulations_count_as_infinite_errors(small_network, small_autoencoder, held_out):
+    whole = [
+        reduced.compared(small_network, small_autoencoder(3), 0.01, *each) for each in held_out
+    ]
+    errors = [each.relative_error for each in whole]
+    one = reduced.summary([8, 9, 10], [whole[0], None, whole[2]])
+    assert one['diverged'] == 1
+    assert one['relative_error_median'] == max(errors[0], errors[2])
+    assert np.isnan(one['relative_error_max'])
+    assert one['relative_error_max_simulation'] == 9
+    most = reduced.summary([8, 9, 10], [None, whole[1], None])
+    assert np.isnan(most['relative_error_median'])
+    over_time_of_two = reduced.errors_over_time([whole[0], None, whole[2]])
+    assert {row['simulations'] for row in over_time_of_two} == {2}
+    last = [whole[k].configuration_error[-1] for k in (0, 2)]
+    assert over_time_of_two[-1]['configuration_median'] == pytest.approx(np.mean(last))
+    assert reduced.errors_over_time([None]) == []
 
 
 def test_batches_are_consecutive_and_whole():

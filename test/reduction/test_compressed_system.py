@@ -1,5 +1,6 @@
 """The compressed system's terms are the body's, pulled back by the decoder."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -185,6 +186,40 @@ def test_no_force_is_the_force_zero(any_system, moving_states):
         any_system.acceleration(latents, velocities),
         any_system.acceleration(latents, velocities, 0.0 * forces),
     )
+
+
+def test_a_force_for_all_states_is_the_same_for_each(any_system, moving_states):
+    latents, velocities, forces = moving_states
+    for_each = any_system.acceleration(latents, velocities, np.tile(forces[0], (10, 1)))
+    np.testing.assert_array_equal(any_system.acceleration(latents, velocities, forces[0]), for_each)
+
+
+@pytest.mark.parametrize(
+    ('latent', 'velocity', 'force', 'message'),
+    [
+        ((2,), (2,), (2,), r'latent: expected the shape \(3,\), got \(2,\)'),
+        ((24,), (24,), (2,), r'latent: expected the shape \(3,\), got \(24,\)'),
+        ((10, 3), (4, 3), (2,), r'velocity: expected the shape \(10, 3\), got \(4, 3\)'),
+        ((3,), (2,), (2,), r'velocity: expected the shape \(3,\), got \(2,\)'),
+        ((10, 3), (10, 3), (4, 2), r'force: expected the shape \(10, 2\), got \(4, 2\)'),
+        ((3,), (3,), (3,), r'force: expected the shape \(2,\), got \(3,\)'),
+    ],
+)
+def test_states_of_other_shapes_are_refused(small_system, latent, velocity, force, message):
+    # Without the check of shapes that the tests put around it.
+    acceleration = inspect.unwrap(CompressedSystem.acceleration)
+    with pytest.raises(ValueError, match=message):
+        acceleration(small_system(3), np.zeros(latent), np.zeros(velocity), np.zeros(force))
+
+
+def test_any_array_will_do(any_system, moving_states):
+    expected = any_system.acceleration(*moving_states)
+    for each in moving_states:
+        each.flags.writeable = False
+    backwards = [rows[::-1] for rows in moving_states]
+    np.testing.assert_array_equal(any_system.acceleration(*backwards)[::-1], expected)
+    in_single = any_system.acceleration(*(rows.astype(np.float32) for rows in moving_states))
+    np.testing.assert_allclose(in_single, expected, rtol=1e-2, atol=1e-2)
 
 
 def test_energy_is_the_bodys(any_system, moving_states):
