@@ -232,6 +232,46 @@ def reduce(options: argparse.Namespace) -> None:
         print(f'results     {options.results}')
 
 
+def reach(options: argparse.Namespace) -> None:
+    """Find what a constant force on one mass can hold: the equilibrium nearest to a target."""
+    from dpc_ros.control import load_target, static_bound
+    from dpc_ros.network import Gravity, Mechanics, draw_springs, load_network
+
+    network = load_network(options.network)
+    target = load_target(options.target, network)
+    if target.configuration is None:
+        raise ValueError(f'target {options.target}: expected a configuration, not a latent state')
+    gravity = Gravity(options.gravity, math.radians(options.gravity_angle))
+    bound = static_bound(
+        Mechanics(network, gravity),
+        options.mass,
+        target.configuration,
+        options.largest_force,
+        options.starts,
+        options.seed,
+        progress=True,
+    )
+    print(f'network     {network.identifier}')
+    print(f'target      {options.target}, force on mass {options.mass}')
+    print(f'best force  ({bound.force[0]:.4g}, {bound.force[1]:.4g}) N')
+    print(f'static nMSE {bound.nmse:.4g}  (no constant force was found to hold the body nearer)')
+    print(f'distance    {bound.rms:.4g} m, root mean square over the coordinates')
+    if options.figure:
+        from dpc_ros.figure import new_figure, save_figure, tidy
+
+        figure = new_figure(7, 7)
+        panel = figure.subplots()
+        draw_springs(network, panel, target.configuration, color='#e69f00', lw=1.6, label='target')
+        style = {'color': '#0072b2', 'lw': 0.7, 'label': 'nearest equilibrium'}
+        draw_springs(network, panel, bound.configuration, **style)
+        panel.autoscale_view()
+        panel.set(aspect='equal', xlabel='x [m]', ylabel='y [m]')
+        panel.legend(frameon=False)
+        tidy(panel)
+        save_figure(figure, options.figure)
+        print(f'figure      {options.figure}')
+
+
 def paper(options: argparse.Namespace) -> None:
     """Run one of the paper's experiments: results as JSON, figures, or the tables of the docs."""
     from dpc_ros.paper.commands import run
@@ -346,6 +386,26 @@ def _parser() -> argparse.ArgumentParser:
         '--output', help=f'folder, default {REDUCED_FOLDER}/<checkpoint>_<simulation>'
     )
     command.add_argument('--results', help='JSON to write the numbers to, as in docs/results')
+
+    command = commands.add_parser('reach', help=reach.__doc__, description=reach.__doc__)
+    command.set_defaults(command=reach)
+    command.add_argument('network', help='shipped network by name, or path of its JSON file')
+    command.add_argument(
+        '--target', required=True, help='simulation:<number>@<step>, rest, or a JSON file'
+    )
+    command.add_argument('--mass', type=int, default=162, help='that is actuated, default 162')
+    command.add_argument(
+        '--largest-force', type=number, default=20.0, metavar='N', help='bound on |u|, default 20'
+    )
+    command.add_argument(
+        '--gravity', type=number, default=0.0, metavar='G', help='[m/s²], default 0'
+    )
+    command.add_argument(
+        '--gravity-angle', type=number, default=-90.0, metavar='A', help='[°], default -90, down'
+    )
+    command.add_argument('--starts', type=int, default=20, help='of the search, default 20')
+    command.add_argument('--seed', type=int, default=0, help='of the starts, default 0')
+    command.add_argument('--figure', help='PNG of target and equilibrium to write')
 
     command = commands.add_parser('paper', help=paper.__doc__, description=paper.__doc__)
     command.set_defaults(command=paper)

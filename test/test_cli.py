@@ -15,7 +15,17 @@ from dpc_ros.autoencoder import experiment
 from dpc_ros.data import load_dataset
 from dpc_ros.network import GeneratorSettings, generate_network, load_network, save_network
 
-COMMANDS = ['generate', 'draw', 'simulate', 'train', 'select', 'reduce', 'paper', 'converge']
+COMMANDS = [
+    'generate',
+    'draw',
+    'simulate',
+    'train',
+    'select',
+    'reduce',
+    'reach',
+    'paper',
+    'converge',
+]
 
 
 @pytest.fixture
@@ -116,6 +126,9 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
             ['reduce', 'paper_2', '--checkpoint', 'paper_2_pod_m5', '--step', '0.25'],
             'diverged with steps of 0.25 s',
         ),
+        (['reach', 'paper_2', '--target', 'simulation:9@1'], 'expected one of the simulations'),
+        (['reach', 'paper_2', '--target', 'rest', '--mass', '1000'], 'mass 1000'),
+        (['reach', 'paper_2', '--target', 'rest', '--starts', '0'], 'starts: expected at least 2'),
         (['paper', 'nothing'], "no experiment 'nothing'"),
         (['converge', 'nothing'], 'nothing'),
         (['converge', 'bad.mcap'], 'bad.mcap'),
@@ -283,3 +296,14 @@ def test_reduce_shows_the_errors_and_writes_pictures(dpc, tmp_path):
     # Of a test simulation, and what the docs promise of its system.
     assert summary['relative_error_about_rest'] < 0.012
     assert summary['energy_increase'] < 1e-6
+
+
+def test_reach_shows_the_static_bound_and_draws_it(dpc, tmp_path):
+    run = dpc(
+        'reach', 'paper_2', '--target', 'simulation:4@100', '--starts', '2', '--figure', 'a.png'
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert 'static nMSE' in run.stdout
+    nmse = float(run.stdout.split('static nMSE')[1].split()[0])
+    assert 0 < nmse < 1
+    assert (tmp_path / 'a.png').read_bytes().startswith(b'\x89PNG')
