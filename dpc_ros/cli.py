@@ -20,6 +20,7 @@ PAPER_EXPERIMENTS = (
     'interpretability',
     'pointwise',
     'reduced',
+    'control',
     'tables',
 )
 NETWORK_FOLDER = Path('runs/networks')

@@ -61,7 +61,8 @@ def test_table_in_the_readme_is_the_recorded_result():
 
 
 def test_example_of_the_control_page_is_the_demonstration():
-    (example,) = re.findall(r'```python\n(.*?)```', (ROOT / 'docs/control.md').read_text(), re.S)
+    page = (ROOT / 'docs/control.md').read_text()
+    example, _ = re.findall(r'```python\n(.*?)```', page, re.S)
     names = {}
     exec(example.replace('steps=1000', 'steps=20'), names)
     recorded = json.loads((ROOT / 'docs/results/demo.json').read_text())['rows']

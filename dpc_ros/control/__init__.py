@@ -1,13 +1,16 @@
 """Control of the body through its latent coordinates."""
 
-from dpc_ros.control.closed_loop import ClosedLoopRun, run_closed_loop
+from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
 from dpc_ros.control.equilibrium import (
     EquilibriumError,
     FeedForward,
     feed_forward,
     reduced_equilibrium,
 )
-from dpc_ros.control.laws import LAWS, ControlLaw, PaperLaw, ReducedEquilibriumLaw, make_law
+from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
+from dpc_ros.control.registry import LAWS, check_law, make_law
+from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.static_bound import (
     ConstantForce,
@@ -24,12 +27,17 @@ __all__ = [
     'ControlLaw',
     'EquilibriumError',
     'FeedForward',
+    'Imperfections',
+    'LawSettings',
     'PaperLaw',
+    'QuadraticRegulator',
     'ReducedEquilibriumLaw',
     'StaticBound',
     'Target',
     'TargetError',
     'TargetSchedule',
+    'TransposeLaw',
+    'check_law',
     'feed_forward',
     'load_target',
     'make_law',

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, eigh
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from tqdm import tqdm
 
 from dpc_ros.control.equilibrium import EquilibriumError
@@ -46,6 +48,36 @@ class StaticBound:
     rms: float
 
 
+class _Banded:
+    """Solves Hx = b for positive matrices of one pattern, renumbered so that they are banded.
+
+    A body's masses touch few others: the reverse Cuthill–McKee order leaves a narrow band.
+    """
+
+    def __init__(self, pattern: Float[np.ndarray, 'n n']) -> None:
+        n = len(pattern)
+        self._order = reverse_cuthill_mckee(csr_array(pattern != 0), symmetric_mode=True)
+        row, column = np.nonzero(pattern[np.ix_(self._order, self._order)])
+        width = int((column - row).max())
+        above = np.arange(n) - np.arange(width, -1, -1)[:, None]  # row of each entry of the band
+        self._outside = above < 0
+        self._place = self._order[np.maximum(above, 0)] * n + self._order[None, :]
+
+    def factor(self, matrix: Float[np.ndarray, 'n n']) -> Float[np.ndarray, 'width n']:
+        """Return the Cholesky factor; LinAlgError where the matrix is not positive."""
+        band = matrix.ravel()[self._place]
+        band[self._outside] = 0.0
+        return cholesky_banded(band, overwrite_ab=True, check_finite=False)
+
+    def solve(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Return x for one right-hand side, (n,), or several, (n, k)."""
+        solution = np.empty_like(right)
+        solution[self._order] = cho_solve_banded(
+            (factor, False), right[self._order], check_finite=False
+        )
+        return solution
+
+
 class ConstantForce:
     """A body under a constant force on one mass: its potential V(q) − uᵀGᵀq and the derivatives.
 
@@ -60,6 +92,9 @@ class ConstantForce:
     def __init__(self, mechanics: Mechanics, actuated_mass: int) -> None:
         self.mechanics = mechanics
         self.input_field = mechanics.input_field(actuated_mass)
+        hessian = mechanics.potential_hessian(mechanics.network.rest_configuration)
+        masses = np.abs(hessian).reshape(len(hessian) // 2, 2, -1, 2).sum(axis=(1, 3)) > 0
+        self._banded = _Banded(np.kron(masses, np.ones((2, 2))))
 
     def equilibrium(
         self, force: Float[np.ndarray, ' 2'], start: Float[np.ndarray, ' n']
@@ -114,10 +149,10 @@ class ConstantForce:
             EquilibriumError: it is none.
         """
         try:
-            factor = cho_factor(self.mechanics.potential_hessian(configuration))
+            factor = self._banded.factor(self.mechanics.potential_hessian(configuration))
         except LinAlgError as error:
             raise EquilibriumError('expected a stable equilibrium') from error
-        return cho_solve(factor, self.input_field)
+        return self._banded.solve(factor, self.input_field)
 
     def _value(self, configuration: np.ndarray, push: np.ndarray) -> float:
         return self.mechanics.potential(configuration) - float(push @ configuration)
@@ -133,11 +168,13 @@ class ConstantForce:
         shift = 0.0
         while True:
             try:
-                factor = cho_factor(hessian + shift * np.eye(len(hessian)))
+                factor = self._banded.factor(hessian)
             except LinAlgError:
-                shift = max(4.0 * shift, _FIRST_SHIFT)
+                added = max(3.0 * shift, _FIRST_SHIFT)
+                hessian[np.diag_indices_from(hessian)] += added
+                shift += added
                 continue
-            step = -cho_solve(factor, gradient)
+            step = -self._banded.solve(factor, gradient)
             return shorten(step, _LONGEST_NEWTON_STEP), shift == 0.0
 
 

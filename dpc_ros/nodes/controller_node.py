@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
+import yaml
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.control import EquilibriumError, Target, TargetSchedule, load_target, make_law
+from dpc_ros.control import (
+    EquilibriumError,
+    LawSettings,
+    Target,
+    TargetSchedule,
+    load_target,
+    make_law,
+)
 from dpc_ros.network import Gravity, Mechanics, load_network
 from dpc_ros.nodes.answers import Answers
 from dpc_ros.nodes.loop_node import LoopNode, run_node
@@ -22,6 +33,7 @@ from dpc_ros.nodes.messages import (
     read_target,
     target_message,
 )
+from dpc_ros.nodes.parameters import ParameterError
 from dpc_ros.reduction import CompressedSystem
 
 
@@ -46,9 +58,7 @@ class ControllerNode(LoopNode):
         self._law = make_law(
             settings['law'],
             system,
-            settings['proportional_gain'],
-            settings['derivative_gain'],
-            settings['largest_force'],
+            _law_settings(settings),
         )
         self._network = network
         self._identifier = checkpoint.identifier
@@ -99,11 +109,12 @@ class ControllerNode(LoopNode):
         if answer is None:
             if self._answers.starts_epoch(stamp):
                 self._schedule.restart()
+                self._law.restart()
             if not self._regulate(stamp):
                 return
-            answer = force_message(
-                message.header.stamp, self._mass, self._law.force(latent, latent_velocity)
-            )
+            force = self._law.force(latent, latent_velocity, stamp)
+            self.health.saturated += self._law.saturated
+            answer = force_message(message.header.stamp, self._mass, force)
             self._answers.remember(stamp, message, answer)
         else:
             self.health.repeated += 1
@@ -123,6 +134,19 @@ class ControllerNode(LoopNode):
             except EquilibriumError as error:
                 self.reject('target', MessageError(str(error)))
         return self._regulates
+
+
+def _law_settings(parameters: Mapping[str, Any]) -> LawSettings:
+    """Return what the node's parameters say about the law: they have the names of its fields."""
+    text = parameters['law_options']
+    try:
+        options = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise ParameterError(f'law_options: expected YAML, got {text!r}') from error
+    if not isinstance(options, dict):
+        raise ParameterError(f'law_options: expected names and values as YAML, got {text!r}')
+    numbers = {each.name for each in fields(LawSettings)} - {'options'}
+    return LawSettings(**{name: parameters[name] for name in numbers}, options=options)
 
 
 def main(arguments: list[str] | None = None) -> None:

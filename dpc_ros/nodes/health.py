@@ -33,6 +33,7 @@ class Health:
         self.received = 0
         self.published = 0
         self.repeated = 0
+        self.saturated = 0  # answers of a controller that the bound on the force has shortened
         self.rejected: Counter[str] = Counter()
         self.lost = 0
         self.warning = ''
@@ -57,6 +58,7 @@ class Health:
             'published': self.published,
             'repeated': self.repeated,
             'lost': self.lost,
+            'saturated': self.saturated,
             **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
         }
         if self._processing:

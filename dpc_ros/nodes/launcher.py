@@ -164,6 +164,11 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
         overrides.setdefault(node, {})[parameter] = parsed
     if options.target is not None:
         overrides.setdefault('controller', {})['target'] = options.target
+    if options.law is not None:
+        overrides.setdefault('controller', {})['law'] = options.law
+    if options.mass is not None:
+        for node in ('simulator', 'controller'):
+            overrides.setdefault(node, {})['actuated_mass'] = options.mass
     if options.duration is not None:
         overrides.setdefault('simulator', {})['duration'] = options.duration
     if options.realtime:
@@ -190,6 +195,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--target', help='simulation:<number>@<step>, rest, or a JSON file with a target'
     )
+    parser.add_argument('--law', help='lqr, reduced_equilibrium, transpose, paper, or your own')
+    parser.add_argument('--mass', type=int, help='number of the actuated mass')
     parser.add_argument('--duration', type=float, help='simulated time [s]; 0 runs until Ctrl-C')
     parser.add_argument('--realtime', action='store_true', help='by the wall clock, not lockstep')
     parser.add_argument('--output', help='folder of the run, new; default runs/<date>_<time>')

@@ -10,6 +10,7 @@ import torch
 
 from dpc_ros.paper import (
     compression,
+    control,
     interpretability,
     mse_table,
     noise,
@@ -100,5 +101,6 @@ EXPERIMENTS: dict[str, tuple[_Measure, int | None, _Draw]] = {
     'interpretability': (interpretability.measure, TRAINING_SEED, _interpretability),
     'pointwise': (pointwise.measure, TRAINING_SEED, _pointwise),
     'reduced': (reduced.measure, TRAINING_SEED, reduced.draw),
+    'control': (control.measure, control.SEED, control.draw),
 }
 NAMES = (*EXPERIMENTS, 'tables')

@@ -17,7 +17,7 @@ from dpc_ros.paper.published import (
 )
 
 Rows = list[dict[str, Any]]
-PAGES = ('experiments.md', '../README.md')  # beside the results
+PAGES = ('experiments.md', 'control.md', '../README.md')  # beside the results
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
@@ -298,6 +298,77 @@ def _reduced(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _laws(rows: Rows) -> str:
+    header = ['law', 'autoencoder', 'final nMSE', 'worst', 'over bound', '2 s over bound']
+    header += ['settles [s]', 'failed', 'peak force [N]', 'RMS force [N]']
+    body = []
+    for row in rows:
+        if row['experiment'] != 'paper_targets':
+            continue
+        body.append(
+            [
+                row['law'],
+                row['checkpoint'].partition('@')[0].removeprefix('paper_2_').replace('_', ', '),
+                _number(row['final_nmse_median']),
+                _number(row['final_nmse_max']),
+                f'{row["final_over_bound_median"]:.3g}',
+                f'{row["nmse_2s_over_bound_median"]:.3g}',
+                f'{row["settling_time_median_s"]:.2f}',
+                f'{row["failed"]} of {row["runs"]}',
+                f'{row["peak_force_median_N"]:.1f}',
+                f'{row["rms_force_median_N"]:.1f}',
+            ]
+        )
+    return _markdown(header, body)
+
+
+def _robustness(rows: Rows) -> str:
+    header = ['condition', 'over bound', '9 of 10 below', '2 s over bound', 'failed']
+    body = []
+    for row in rows:
+        if row['experiment'] not in ('robustness', 'gravity'):
+            continue
+        body.append(
+            [
+                _condition(row),
+                f'{row["final_over_bound_median"]:.3g}',
+                f'{row["final_over_bound_90"]:.3g}',
+                f'{row["nmse_2s_over_bound_median"]:.3g}',
+                f'{row["failed"]} of {row["runs"]}',
+            ]
+        )
+    return _markdown(header, body)
+
+
+def _condition(row: dict[str, Any]) -> str:
+    if row['experiment'] == 'gravity':
+        return f'gravity of {row["gravity_m_s2"]:g} m/s²'
+    for name in ('stiffness', 'damping', 'mass'):
+        if f'{name}_factor' in row:
+            return f'true {name} × {row[f"{name}_factor"]:g}'
+    parts = [
+        f'hold {1e3 * row["hold_s"]:.0f} ms',
+        f'latency {1e3 * row["latency_s"]:.0f} ms',
+        f'σ = {row["sigma_m"]:g} m',
+    ]
+    return ', '.join(parts)
+
+
+def _reachable(rows: Rows) -> str:
+    header = ['integral gain [1/s]', 'nMSE at 2 s', 'at 3 s', 'at 5 s', 'at 10 s', 'failed']
+    keys = ('nmse_2s_median', 'nmse_3s_median', 'nmse_5s_median', 'nmse_10s_median')
+    body = [
+        [
+            f'{row["integral_gain"]:g}',
+            *(_number(row[key]) for key in keys),
+            f'{row["failed"]} of {row["runs"]}',
+        ]
+        for row in rows
+        if row['experiment'] == 'reachable'
+    ]
+    return _markdown(header, body)
+
+
 _TABLES: dict[str, Callable[[Rows], str]] = {
     'reproduction': _reproduction,
     'ours': _ours,
@@ -310,6 +381,9 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'pointwise': _pointwise,
     'reduced': _reduced,
     'results': _results,
+    'laws': _laws,
+    'robustness': _robustness,
+    'reachable': _reachable,
 }
 
 

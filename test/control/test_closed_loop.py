@@ -5,7 +5,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from dpc_ros.control import Target, load_target, make_law, run_closed_loop
+from dpc_ros.control import (
+    LAWS,
+    Imperfections,
+    LawSettings,
+    Target,
+    load_target,
+    make_law,
+    run_closed_loop,
+)
 from dpc_ros.network import Body, Integrator
 from dpc_ros.threads import single_threaded_algebra
 
@@ -18,7 +26,7 @@ def run_small(small_system, small_configurations):
 
     def run(name='reduced_equilibrium', **options):
         system = small_system(3)
-        law = make_law(name, system, 0.5, 0.5, 1.0)
+        law = make_law(name, system, LawSettings(1.0, 0.5, 0.5))
         law.regulate(Target(configuration=small_configurations[20]))
         body = Body(Integrator(system.mechanics, 0.005), system.actuated_mass)
         return law, run_closed_loop(body, system.autoencoder, law, STEPS, **options)
@@ -26,7 +34,7 @@ def run_small(small_system, small_configurations):
     return run
 
 
-@pytest.mark.parametrize('name', ['paper', 'reduced_equilibrium'])
+@pytest.mark.parametrize('name', LAWS)
 def test_every_state_is_encoded_and_answered(run_small, small_system, name):
     law, run = run_small(name)
     assert run.configuration.shape == run.velocity.shape == (STEPS + 1, 24)
@@ -74,10 +82,42 @@ def test_progress_is_told_of_every_state(run_small):
 
 def test_shipped_controller_brings_the_body_nearer_its_target(shipped, paper_2):
     target = load_target('simulation:2@300', paper_2)
-    law = make_law('reduced_equilibrium', shipped.system, 0.0, 0.3, 2.0)
+    law = make_law('reduced_equilibrium', shipped.system, LawSettings(2.0, 0.0, 0.3))
     law.regulate(target)
     body = Body(Integrator(shipped.system.mechanics, 0.005), shipped.system.actuated_mass)
     run = run_closed_loop(body, shipped.autoencoder, law, 1000)
     error = np.mean((run.configuration - target.configuration) ** 2, axis=1)
     assert error[-50:].mean() < error[0]
     assert np.linalg.norm(run.force, axis=1).max() <= 2.0 * (1 + 1e-12)
+
+
+def test_a_force_is_held_between_two_measurements(run_small):
+    _, run = run_small(imperfections=Imperfections(hold=4))
+    for k in range(STEPS + 1):
+        np.testing.assert_array_equal(run.force[k], run.force[k - k % 4])
+        np.testing.assert_array_equal(run.latent[k], run.latent[k - k % 4])
+    assert len(np.unique(run.force, axis=0)) == STEPS // 4 + 1
+
+
+def test_latency_delays_the_force(run_small):
+    law, run = run_small(imperfections=Imperfections(latency=3))
+    np.testing.assert_array_equal(run.force[:3], 0)
+    for k in range(3, STEPS + 1):
+        answer = law.force(run.latent[k - 3], run.latent_velocity[k - 3])
+        np.testing.assert_array_equal(run.force[k], answer)
+
+
+def test_noise_is_on_what_is_measured_alone(run_small, small_system):
+    _, run = run_small(imperfections=Imperfections(noise=0.01, seed=3))
+    encoded = small_system(3).autoencoder.encode(run.configuration)
+    assert np.abs(encoded - run.latent).min(axis=1).max() > 0
+    _, again = run_small(imperfections=Imperfections(noise=0.01, seed=3))
+    np.testing.assert_array_equal(run.force, again.force)
+    _, other = run_small(imperfections=Imperfections(noise=0.01, seed=4))
+    assert np.abs(run.force - other.force).max() > 0
+
+
+@pytest.mark.parametrize('bad', [{'hold': 0}, {'latency': -1}, {'noise': -0.1}, {'noise': np.nan}])
+def test_bad_imperfections_are_refused(bad):
+    with pytest.raises(ValueError, match='expected hold ≥ 1'):
+        Imperfections(**bad)

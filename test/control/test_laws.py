@@ -1,23 +1,32 @@
 """Control laws are their formulas, within the bound on the force."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.linalg import solve_continuous_lyapunov
 
 from dpc_ros.control import (
     LAWS,
+    ConstantForce,
+    LawSettings,
     PaperLaw,
+    QuadraticRegulator,
     ReducedEquilibriumLaw,
     Target,
     TargetError,
+    TransposeLaw,
     feed_forward,
     make_law,
+    reduced_equilibrium,
 )
 from dpc_ros.control.laws import damped_left_inverse
 
 ALPHA, BETA = 0.7, 1.3
+SETTINGS = LawSettings(proportional_gain=ALPHA, derivative_gain=BETA)
 
 
 def vectors(size, bound=2.0):
@@ -31,7 +40,7 @@ def target(small_configurations):
 
 @pytest.fixture(scope='module', params=LAWS)
 def law(request, small_system, target):
-    law = make_law(request.param, small_system(3), ALPHA, BETA, 0.5)
+    law = make_law(request.param, small_system(3), replace(SETTINGS, largest_force=0.5))
     law.regulate(target)
     return law
 
@@ -62,7 +71,7 @@ def test_damping_bounds_the_inverse_also_of_a_singular_field(field, damping):
 @given(vectors(2, 1.0))
 def test_paper_law_holds_the_body_at_its_target_where_it_can(small_system, latent):
     system = small_system(2)
-    law = PaperLaw(system, ALPHA, BETA, inverse_damping=0.0)
+    law = PaperLaw(system, replace(SETTINGS, inverse_damping=0.0))
     law.regulate(Target(latent=latent))
     force = law.force(latent, np.zeros(2))
     gradient = system.potential_gradient(latent)
@@ -72,7 +81,7 @@ def test_paper_law_holds_the_body_at_its_target_where_it_can(small_system, laten
 @given(vectors(3), vectors(3), vectors(3))
 def test_paper_law_is_its_formula(small_system, goal, latent, velocity):
     system = small_system(3)
-    law = PaperLaw(system, ALPHA, BETA, inverse_damping=0.1)
+    law = PaperLaw(system, replace(SETTINGS, inverse_damping=0.1))
     law.regulate(Target(latent=goal))
     momentum = system.mass_matrix(latent) @ velocity
     wanted = system.potential_gradient(goal) + ALPHA * (goal - latent) - BETA * momentum
@@ -83,7 +92,7 @@ def test_paper_law_is_its_formula(small_system, goal, latent, velocity):
 @pytest.fixture(scope='module')
 def resting(small_system, target):
     """The reduced-equilibrium law with the feed-forward that it rests on."""
-    law = ReducedEquilibriumLaw(small_system(3), ALPHA, BETA)
+    law = ReducedEquilibriumLaw(small_system(3), SETTINGS)
     law.regulate(target)
     return law, feed_forward(law.system, target.configuration)
 
@@ -111,9 +120,9 @@ def test_a_configuration_and_its_latent_are_targets(small_system, target, name):
     autoencoder = system.autoencoder
     latent = autoencoder.encode(target.configuration)
     decoded = Target(configuration=autoencoder.decode(latent))
-    first, second = (make_law(name, system, ALPHA, BETA) for _ in range(2))
+    first, second = (make_law(name, system, SETTINGS) for _ in range(2))
     first.regulate(Target(latent=latent))
-    second.regulate(decoded if name == 'reduced_equilibrium' else target)
+    second.regulate(target if name in ('paper', 'transpose') else decoded)
     state = latent + 0.1, np.ones(3)
     np.testing.assert_allclose(first.force(*state), second.force(*state), rtol=1e-9, atol=1e-12)
 
@@ -122,13 +131,13 @@ def test_a_configuration_and_its_latent_are_targets(small_system, target, name):
 def test_the_bound_shortens_a_force_and_keeps_its_direction(law, latent, velocity):
     free, bounded = law.unbounded_force(latent, velocity), law.force(latent, velocity)
     length = np.linalg.norm(free)
-    assert np.linalg.norm(bounded) == pytest.approx(min(length, law.largest_force))
+    assert np.linalg.norm(bounded) == pytest.approx(min(length, law.settings.largest_force))
     np.testing.assert_allclose(bounded * length, free * np.linalg.norm(bounded), atol=1e-9)
 
 
 @pytest.mark.parametrize('name', LAWS)
 def test_without_a_target_there_is_no_force(small_system, name):
-    law = make_law(name, small_system(3), ALPHA, BETA)
+    law = make_law(name, small_system(3), SETTINGS)
     np.testing.assert_array_equal(law.force(np.ones(3), np.ones(3)), 0)
 
 
@@ -142,7 +151,7 @@ def test_without_a_target_there_is_no_force(small_system, name):
     ids=['configuration', 'latent'],
 )
 def test_a_target_that_does_not_fit_leaves_the_old_one(small_system, target, name, bad, message):
-    law = make_law(name, small_system(3), ALPHA, BETA)
+    law = make_law(name, small_system(3), SETTINGS)
     law.regulate(target)
     before = law.force(np.ones(3), np.ones(3))
     with pytest.raises(TargetError, match=message):
@@ -150,15 +159,130 @@ def test_a_target_that_does_not_fit_leaves_the_old_one(small_system, target, nam
     np.testing.assert_array_equal(law.force(np.ones(3), np.ones(3)), before)
 
 
-@pytest.mark.parametrize('name', LAWS)
 @pytest.mark.parametrize('value', [-1.0, np.nan])
-@pytest.mark.parametrize('key', ['proportional_gain', 'derivative_gain', 'largest_force'])
-def test_gains_and_bound_have_to_be_numbers(small_system, name, value, key):
-    values = {'proportional_gain': 1.0, 'derivative_gain': 1.0, key: value}
-    with pytest.raises(ValueError, match=f'{key.replace("_", " ")}: expected a number ≥ 0'):
-        make_law(name, small_system(3), **values)
+@pytest.mark.parametrize('key', [each.name for each in fields(LawSettings)][:-1])
+def test_settings_have_to_be_numbers(value, key):
+    with pytest.raises(ValueError, match=f'{key.replace("_", " ")}: expected a number'):
+        LawSettings(**{key: value})
+
+
+def test_only_the_bound_may_be_infinite():
+    assert LawSettings(largest_force=np.inf).largest_force == np.inf
+    with pytest.raises(ValueError, match='integral gain: expected a finite number'):
+        LawSettings(integral_gain=np.inf)
+    with pytest.raises(ValueError, match='force weight: expected a number > 0'):
+        LawSettings(force_weight=0.0)
 
 
 def test_an_unknown_law_names_the_known_ones(small_system):
-    with pytest.raises(ValueError, match=r"'pid'.*paper.*reduced_equilibrium"):
-        make_law('pid', small_system(3), 1.0, 1.0)
+    with pytest.raises(ValueError, match=r"'pid'.*lqr.*paper"):
+        make_law('pid', small_system(3))
+
+
+@given(latent=vectors(3), velocity=vectors(3))
+def test_transpose_law_is_its_formula(small_system, target, latent, velocity):
+    system = small_system(3)
+    law = TransposeLaw(system, SETTINGS)
+    law.regulate(target)
+    goal = system.autoencoder.encode(target.configuration)
+    field = system.input_field(goal)
+    inverse = damped_left_inverse(field, SETTINGS.inverse_damping)
+    expected = inverse @ system.potential_gradient(goal)
+    expected = expected + field.T @ (ALPHA * (goal - latent) - BETA * velocity)
+    np.testing.assert_allclose(law.force(latent, velocity), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_saturation_is_told(law):
+    law.force(np.full(3, 50.0), np.zeros(3))
+    assert law.saturated
+    free = make_law('paper', law.system)
+    free.regulate(Target(latent=np.zeros(3)))
+    free.force(np.full(3, 50.0), np.zeros(3))
+    assert not free.saturated
+
+
+@pytest.fixture
+def regulator(small_system, target):
+    law = QuadraticRegulator(small_system(3), LawSettings())
+    law.regulate(target)
+    return law
+
+
+def test_regulator_rests_at_the_bodys_own_equilibrium(regulator, target):
+    """Of no other constant force nearby is the equilibrium nearer to the target."""
+    system = regulator.system
+    goal, force = regulator._goal, regulator.feed_forward
+    gradient = system.mechanics.potential_gradient(goal)
+    np.testing.assert_allclose(gradient, system.full_input_field @ force, atol=1e-8)
+    latent = system.autoencoder.encode(goal)
+    np.testing.assert_allclose(regulator.force(latent, np.zeros(3)), force, atol=1e-12)
+    slope = ConstantForce(system.mechanics, system.actuated_mass).slope(goal)
+    assert np.abs(slope.T @ (goal - target.configuration)).max() < 1e-6
+
+
+def test_gain_is_the_one_of_the_riccati_equation(regulator):
+    system, settings = regulator.system, regulator.settings
+    latent = system.autoencoder.encode(regulator._goal)
+    jacobian = system.autoencoder.decoder_jacobian(latent)
+    stiffness = jacobian.T @ system.mechanics.potential_hessian(regulator._goal) @ jacobian
+    a, b = regulator.linearised(latent, stiffness)
+    gain = np.hstack([regulator._latent_gain, regulator._velocity_gain])
+    gain[:, 3:] -= settings.collocated_damping * system.input_field(latent).T
+    # The gain of the stationary solution: its costate P is the quadratic cost of the closed loop,
+    # and no other gain nearby costs less.
+    weight = 1e-9 * np.eye(6)
+    weight[:3, :3] += jacobian.T @ jacobian / len(jacobian)
+
+    def cost(k):
+        closed = a - b @ k
+        return solve_continuous_lyapunov(closed.T, -(weight + settings.force_weight * k.T @ k))
+
+    best = cost(gain)
+    np.testing.assert_allclose(gain, b.T @ best / settings.force_weight, rtol=1e-6, atol=1e-9)
+    for change in np.random.default_rng(0).normal(scale=0.05, size=(10, *gain.shape)):
+        worse = cost(gain + change * np.abs(gain).max())
+        assert np.linalg.eigvalsh(worse - best).min() > -1e-9 * np.abs(best).max()
+
+
+def test_linearisation_is_that_of_the_compressed_system(small_system, central_difference):
+    """Where the decoder's equilibrium is the body's: about the reduced equilibrium."""
+    system = small_system(3)
+    law = QuadraticRegulator(system, LawSettings())
+    force = np.array([0.4, -0.3])
+    start = system.autoencoder.encode(system.mechanics.network.rest_configuration)
+    latent = reduced_equilibrium(system, force, start)
+    a, b = law.linearised(latent, system.potential_hessian(latent, force))
+
+    def rate(state):
+        acceleration = system.acceleration(state[:3], state[3:6], state[6:])
+        return np.concatenate([state[3:6], acceleration])
+
+    point = np.concatenate([latent, np.zeros(3), force])
+    expected = central_difference(rate, point, 1e-5)
+    np.testing.assert_allclose(np.hstack([a, b]), expected, rtol=1e-4, atol=1e-3)
+
+
+def test_integral_waits_then_moves_with_the_error_and_starts_anew(small_system, target):
+    settings = LawSettings(integral_gain=2.0, integral_delay=0.1)
+    law = QuadraticRegulator(small_system(3), settings)
+    law.regulate(target)
+    latent = law._target + 0.2
+    step = 10_000_000  # ns
+    forces = [law.force(latent, np.zeros(3), k * step) for k in range(40)]
+    for waiting in forces[:10]:
+        np.testing.assert_array_equal(waiting, forces[0])
+    changes = np.diff(forces[12:], axis=0)
+    np.testing.assert_allclose(changes, np.broadcast_to(changes[0], changes.shape), rtol=1e-6)
+    assert np.linalg.norm(changes[0]) > 0
+    law.restart()
+    np.testing.assert_array_equal(law.force(latent, np.zeros(3), 0), forces[0])
+
+
+def test_integral_stands_still_while_the_force_is_saturated(small_system, target):
+    settings = LawSettings(integral_gain=2.0, integral_delay=0.0, largest_force=0.01)
+    law = QuadraticRegulator(small_system(3), settings)
+    law.regulate(target)
+    for k in range(20):
+        law.force(law._target + 5.0, np.zeros(3), k * 10_000_000)
+        assert law.saturated
+    np.testing.assert_array_equal(law._integral, 0)

@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import read_run
-from dpc_ros.control import load_target, make_law, run_closed_loop
+from dpc_ros.control import LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
@@ -179,9 +179,8 @@ def in_process():
         network = load_network('paper_2')
         mechanics = Mechanics(network)
         autoencoder = with_encoder(load_checkpoint(checkpoint).autoencoder(), encoder)
-        law = make_law(
-            'reduced_equilibrium', CompressedSystem(mechanics, autoencoder, 162), 2.0, 1.0, 20.0
-        )
+        settings = LawSettings(largest_force=20.0)
+        law = make_law('lqr', CompressedSystem(mechanics, autoencoder, 162), settings)
         law.regulate(load_target('simulation:4@100', network))
         return run_closed_loop(Body(Integrator(mechanics, 0.005), 162), autoencoder, law, steps)
 

@@ -27,7 +27,6 @@ def assert_one_clear_error(output, *words):
         ('simulator', 'rate:=-1.0', ('rate', 'expected 1 to 2000 Hz', '-1')),
         ('simulator', 'rate:=fast', ('rate', 'expected a double', "'fast'")),
         ('simulator', 'time_mode:=soon', ('time_mode', 'lockstep, realtime', 'soon')),
-        ('controller', 'law:=magic', ('law', 'reduced_equilibrium, paper')),
         ('recorder', 'topics:=[sound]', ('topics', 'configuration')),
     ],
 )
@@ -56,6 +55,9 @@ def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
     ('kind', 'parameters', 'words'),
     [
         ('simulator', ['network:=nowhere'], ('nowhere', 'paper_1')),
+        ('controller', ['law:=magic'], ("'magic'", 'lqr, reduced_equilibrium, transpose, paper')),
+        ('controller', ["law_options:='[1, 2'"], ('law_options', 'YAML')),
+        ('controller', ["law_options:='[1, 2]'"], ('law_options', 'names and values')),
         ('simulator', ['actuated_mass:=3'], ('mass 3', 'fixed')),
         ('simulator', ['actuated_mass:=205'], ('no mass 205', '0 to 204')),
         ('encoder', ['network:=paper_1'], ('paper_2_extended_m5', 'trained on paper_2', 'paper_1')),

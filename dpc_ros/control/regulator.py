@@ -1,0 +1,131 @@
+"""A linear-quadratic regulator about the best static equilibrium."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import solve_continuous_are
+
+from dpc_ros.control.equilibrium import EquilibriumError, feed_forward
+from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.saturation import shorten
+from dpc_ros.control.static_bound import ConstantForce, nearest_equilibrium
+from dpc_ros.control.targets import Target
+from dpc_ros.reduction import CompressedSystem
+
+_LEAST_WEIGHT = 1e-9  # of each latent and its velocity, so that every mode is observed
+
+
+class QuadraticRegulator(ControlLaw):
+    """u = u* + v + K_p(ξ* + Sv − ξ) − (K_d + cΓ*ᵀ)ξ̇, with gains of a latent Riccati equation.
+
+    The reduced-equilibrium feed-forward leads to the branch of equilibria on which the target is
+    approached; from there the full body's own nearest equilibrium (u*, q*) is found, and
+    ξ* = E(q*), so that the decoder's error moves neither. K minimises
+    ∫ mean((Jδξ)²) + w·mean((Jξ̇)²) + R|δu|² dt for the compressed system linearised there:
+    M_η δξ̈ + Δ ξ̇ + Jᵀ∇²V(q*)J δξ = Γ δu (Anderson and Moore, Optimal Control, section 3.3).
+    c damps the actuated mass, collocated with the force. v integrates the error along the two
+    directions S = ∂ξ_eq/∂u that a constant force can move the equilibrium in: v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(q* −
+    D(ξ)) with S̃ = JS. It waits after a new target, and stands still while the force is saturated.
+    """
+
+    def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
+        super().__init__(system, settings)
+        m = system.latent_size
+        self._target = np.zeros(m)
+        self._feed_forward = np.zeros(2)
+        self._latent_gain = np.zeros((2, m))
+        self._velocity_gain = np.zeros((2, m))
+        self._slope = np.zeros((m, 2))
+        self._integrator: np.ndarray = np.zeros((2, system.autoencoder.configuration_size))
+        self._goal = np.zeros(system.autoencoder.configuration_size)
+        self._integral = np.zeros(2)
+        self._since_target = 0.0
+
+    @property
+    def feed_forward(self) -> Float[np.ndarray, ' 2']:
+        """The constant force u* of the target [N]."""
+        return self._feed_forward
+
+    def regulate(self, target: Target) -> None:
+        configuration = self._target_configuration(target)
+        settings, system = self.settings, self.system
+        autoencoder, mechanics = system.autoencoder, system.mechanics
+        reduced = feed_forward(system, configuration, settings.largest_force)
+        body = ConstantForce(mechanics, system.actuated_mass)
+        force, latent = reduced.force, reduced.latent
+        goal: np.ndarray = autoencoder.decode(latent)
+        stiffness = system.potential_hessian(latent, force)
+        try:
+            nearest = nearest_equilibrium(body, configuration, force, goal, settings.largest_force)
+        except EquilibriumError:  # the body itself has none near: the compressed one stands in
+            pass
+        else:
+            force, goal = nearest.force, nearest.configuration
+            latent = autoencoder.encode(goal)
+            jacobian = autoencoder.decoder_jacobian(latent)
+            stiffness = jacobian.T @ mechanics.potential_hessian(goal) @ jacobian
+        gain = self._gain(latent, stiffness)
+        field = system.input_field(latent)
+        m = system.latent_size
+        self._target, self._feed_forward, self._goal = latent, force, goal
+        self._latent_gain = gain[:, :m]
+        self._velocity_gain = gain[:, m:] + settings.collocated_damping * field.T
+        self._slope = np.linalg.solve(stiffness, field)
+        moved = autoencoder.decoder_jacobian(latent) @ self._slope
+        self._integrator = np.linalg.lstsq(moved, np.eye(len(moved)), rcond=None)[0]
+        self._integral = np.zeros(2)
+        self._since_target = 0.0
+
+    def unbounded_force(
+        self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
+    ) -> Float[np.ndarray, ' 2']:
+        error = self._target + self._slope @ self._integral - latent
+        return (
+            self._feed_forward
+            + self._integral
+            + self._latent_gain @ error
+            - self._velocity_gain @ latent_velocity
+        )
+
+    def advance(self, latent: Float[np.ndarray, ' m'], elapsed: float) -> None:
+        self._since_target += elapsed
+        gain = self.settings.integral_gain
+        waits = self._since_target < self.settings.integral_delay
+        if not gain or waits or self.saturated:
+            return
+        error = self._goal - self.system.autoencoder.decode(latent)
+        change = gain * elapsed * (self._integrator @ error)
+        self._integral = shorten(self._integral + change, self.settings.largest_force)
+
+    def restart(self) -> None:
+        super().restart()
+        self._integral = np.zeros(2)
+        self._since_target = 0.0
+
+    def _gain(
+        self, latent: Float[np.ndarray, ' m'], stiffness: Float[np.ndarray, 'm m']
+    ) -> Float[np.ndarray, '2 2*m']:
+        """Return K of δu = −K(δξ, ξ̇), by the continuous algebraic Riccati equation."""
+        state_matrix, input_matrix = self.linearised(latent, stiffness)
+        jacobian = self.system.autoencoder.decoder_jacobian(latent)
+        spread = jacobian.T @ jacobian / len(jacobian)
+        m = len(latent)
+        weight = _LEAST_WEIGHT * np.eye(2 * m)
+        weight[:m, :m] += spread
+        weight[m:, m:] += self.settings.velocity_weight * spread
+        force_weight = self.settings.force_weight
+        riccati = solve_continuous_are(state_matrix, input_matrix, weight, force_weight * np.eye(2))
+        return input_matrix.T @ riccati / force_weight
+
+    def linearised(
+        self, latent: Float[np.ndarray, ' m'], stiffness: Float[np.ndarray, 'm m']
+    ) -> tuple[Float[np.ndarray, '2*m 2*m'], Float[np.ndarray, '2*m 2']]:
+        """Return A and B of d/dt (δξ, ξ̇) = A(δξ, ξ̇) + Bδu at a latent state at rest."""
+        system, m = self.system, len(latent)
+        mass_matrix = system.mass_matrix(latent)
+        terms = np.hstack([stiffness, system.damping_matrix(latent), system.input_field(latent)])
+        divided = np.linalg.solve(mass_matrix, terms)
+        above = np.hstack([np.zeros((m, m)), np.eye(m)])
+        state_matrix = np.vstack([above, -divided[:, : 2 * m]])
+        return state_matrix, np.vstack([np.zeros((m, 2)), divided[:, 2 * m :]])

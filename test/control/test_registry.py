@@ -1,0 +1,79 @@
+"""A law of another package runs like those of this one. The package is the one of the page."""
+
+import configparser
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from dpc_ros.control import ControlLaw, LawSettings, Target, check_law, make_law
+from dpc_ros.control.registry import law_names
+from dpc_ros.resources import share_directory
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Return a function that installs a package of one module as pip would lay it down."""
+    modules = []
+
+    def lay_down(module, code, name, value):
+        information = tmp_path / f'{module}-1.0.dist-info'
+        information.mkdir()
+        (tmp_path / f'{module}.py').write_text(code)
+        (information / 'METADATA').write_text(
+            f'Metadata-Version: 2.1\nName: {module}\nVersion: 1\n'
+        )
+        (information / 'entry_points.txt').write_text(f'[dpc_ros.control_laws]\n{name} = {value}\n')
+        monkeypatch.syspath_prepend(tmp_path)
+        modules.append(module)
+
+    yield lay_down
+    for module in modules:
+        sys.modules.pop(module, None)
+
+
+@pytest.fixture
+def spring(install):
+    """Install the law that the page on control shows."""
+    page = (share_directory() / 'docs/control.md').read_text()
+    *_, code = re.findall(r'```python\n(.*?)```', page, re.S)
+    (project,) = re.findall(r'```toml\n(.*?)```', page, re.S)
+    parsed = configparser.ConfigParser()  # as far as TOML goes here
+    parsed.read_string(project)
+    ((name, value),) = parsed['project.entry-points."dpc_ros.control_laws"'].items()
+    install('my_law', code, name, value.strip('"'))
+    return name
+
+
+def test_the_law_of_the_page_pulls_the_mass_to_its_place(spring, small_system):
+    system = small_system(3)
+    settings = LawSettings(largest_force=4.0, options={'stiffness': 5.0})
+    law = make_law(spring, system, settings)
+    assert isinstance(law, ControlLaw)
+    assert spring in law_names()
+    check_law(spring)
+    np.testing.assert_array_equal(law.force(np.zeros(3), np.zeros(3)), 0)
+    goal = np.array([0.5, 0.2, -0.1])
+    law.regulate(Target(latent=goal))
+    np.testing.assert_allclose(law.force(goal, np.zeros(3)), 0, atol=1e-12)
+    moved = system.full_input_field.T @ (
+        system.autoencoder.decode(goal) - system.autoencoder.decode(np.zeros(3))
+    )
+    np.testing.assert_allclose(law.unbounded_force(np.zeros(3), np.zeros(3)), 5.0 * moved)
+    assert np.linalg.norm(law.force(np.full(3, 50.0), np.zeros(3))) <= 4.0 * (1 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    ('code', 'message'),
+    [
+        ('import nothing_at_all', "'mine': mine_law:Law can not be loaded, No module named"),
+        ('Law = 3', "'mine': 'int' object is not callable"),
+        ('def Law(system, settings): return 3', "'mine': expected a ControlLaw, got int"),
+        ('def Law(system): return 3', "'mine': Law\\(\\) takes 1 positional argument"),
+    ],
+)
+def test_what_is_no_law_is_refused(install, small_system, code, message):
+    install('mine_law', code, 'mine', 'mine_law:Law')
+    with pytest.raises(ValueError, match=message):
+        make_law('mine', small_system(3))
