@@ -9,6 +9,7 @@ from dpc_ros.control.equilibrium import (
 )
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
+from dpc_ros.control.observer import LatentObserver, ObservedLaw, ObserverSettings
 from dpc_ros.control.registry import LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
@@ -28,7 +29,10 @@ __all__ = [
     'EquilibriumError',
     'FeedForward',
     'Imperfections',
+    'LatentObserver',
     'LawSettings',
+    'ObservedLaw',
+    'ObserverSettings',
     'PaperLaw',
     'QuadraticRegulator',
     'ReducedEquilibriumLaw',

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_continuous_are
 
-from dpc_ros.control.equilibrium import EquilibriumError, feed_forward
+from dpc_ros.control.equilibrium import EquilibriumError, FeedForward, feed_forward
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.saturation import shorten
-from dpc_ros.control.static_bound import ConstantForce, nearest_equilibrium
+from dpc_ros.control.static_bound import (
+    ConstantForce,
+    StaticBound,
+    nearest_equilibrium,
+    static_bound,
+)
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
@@ -19,9 +26,9 @@ _LEAST_WEIGHT = 1e-9  # of each latent and its velocity, so that every mode is o
 class QuadraticRegulator(ControlLaw):
     """u = u* + v + K_p(ξ* + Sv − ξ) − (K_d + cΓ*ᵀ)ξ̇, with gains of a latent Riccati equation.
 
-    The reduced-equilibrium feed-forward leads to the branch of equilibria on which the target is
-    approached; from there the full body's own nearest equilibrium (u*, q*) is found, and
-    ξ* = E(q*), so that the decoder's error moves neither. K minimises
+    (u*, q*) is the static equilibrium of the full body nearest to the target, searched from the
+    reduced-equilibrium feed-forward, from rest and from the target; ξ* = E(q*). The decoder's
+    error moves neither. K minimises
     ∫ mean((Jδξ)²) + w·mean((Jξ̇)²) + R|δu|² dt for the compressed system linearised there:
     M_η δξ̈ + Δ ξ̇ + Jᵀ∇²V(q*)J δξ = Γ δu (Anderson and Moore, Optimal Control, section 3.3).
     c damps the actuated mass, collocated with the force. v integrates the error along the two
@@ -52,16 +59,13 @@ class QuadraticRegulator(ControlLaw):
         settings, system = self.settings, self.system
         autoencoder, mechanics = system.autoencoder, system.mechanics
         reduced = feed_forward(system, configuration, settings.largest_force)
-        body = ConstantForce(mechanics, system.actuated_mass)
-        force, latent = reduced.force, reduced.latent
-        goal: np.ndarray = autoencoder.decode(latent)
-        stiffness = system.potential_hessian(latent, force)
-        try:
-            nearest = nearest_equilibrium(body, configuration, force, goal, settings.largest_force)
-        except EquilibriumError:  # the body itself has none near: the compressed one stands in
-            pass
+        found = self._equilibrium(configuration, reduced)
+        if found is None:  # the body itself has none near: the compressed one stands in
+            force, latent = reduced.force, reduced.latent
+            goal = autoencoder.decode(latent)
+            stiffness = system.potential_hessian(latent, force)
         else:
-            force, goal = nearest.force, nearest.configuration
+            force, goal = found.force, found.configuration
             latent = autoencoder.encode(goal)
             jacobian = autoencoder.decoder_jacobian(latent)
             stiffness = jacobian.T @ mechanics.potential_hessian(goal) @ jacobian
@@ -102,6 +106,26 @@ class QuadraticRegulator(ControlLaw):
         super().restart()
         self._integral = np.zeros(2)
         self._since_target = 0.0
+
+    def _equilibrium(
+        self, target: Float[np.ndarray, ' n'], reduced: FeedForward
+    ) -> StaticBound | None:
+        """Return the body's equilibrium nearest to the target of three searches, if there is any.
+
+        One begins at the reduced equilibrium, the others are those of `static_bound`, from rest
+        and from the target.
+        """
+        system, largest = self.system, self.settings.largest_force
+        body = ConstantForce(system.mechanics, system.actuated_mass)
+        start = system.autoencoder.decode(reduced.latent)
+        found = []
+        with suppress(EquilibriumError):
+            found.append(nearest_equilibrium(body, target, reduced.force, start, largest))
+        with suppress(EquilibriumError):
+            found.append(
+                static_bound(system.mechanics, system.actuated_mass, target, largest, starts=2)
+            )
+        return min(found, key=lambda each: each.rms, default=None)
 
     def _gain(
         self, latent: Float[np.ndarray, ' m'], stiffness: Float[np.ndarray, 'm m']

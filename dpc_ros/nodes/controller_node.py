@@ -16,6 +16,8 @@ from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.control import (
     EquilibriumError,
     LawSettings,
+    ObservedLaw,
+    ObserverSettings,
     Target,
     TargetSchedule,
     load_target,
@@ -55,11 +57,12 @@ class ControllerNode(LoopNode):
         system = CompressedSystem(
             Mechanics(network, gravity), autoencoder, settings['actuated_mass']
         )
-        self._law = make_law(
-            settings['law'],
-            system,
-            _law_settings(settings),
-        )
+        self._law = make_law(settings['law'], system, _law_settings(settings))
+        if settings['observer'] == 'kalman':
+            names = (each.name for each in fields(ObserverSettings))
+            self._law = ObservedLaw(
+                self._law, ObserverSettings(**{name: settings[name] for name in names})
+            )
         self._network = network
         self._identifier = checkpoint.identifier
         self._names = latent_names(system.latent_size)

@@ -23,6 +23,8 @@ from dpc_ros.control import (
     EquilibriumError,
     Imperfections,
     LawSettings,
+    ObservedLaw,
+    ObserverSettings,
     Target,
     load_target,
     make_law,
@@ -263,6 +265,7 @@ def _run(
     gravity: Gravity = NO_GRAVITY,
     imperfections: Imperfections | None = None,
     truth: MassSpringNetwork | None = None,
+    observer: ObserverSettings | None = None,
 ) -> Outcome:
     """Return what comes of one run; `truth` is the body where it is not the one of the model."""
     network, autoencoder = _models(checkpoint)
@@ -271,6 +274,8 @@ def _run(
         CompressedSystem(Mechanics(network, gravity), autoencoder, task.mass),
         settings,
     )
+    if observer is not None:
+        law = ObservedLaw(law, observer)
     steps = round(duration / STEP)
     try:
         law.regulate(Target(configuration=task.target))
@@ -392,11 +397,23 @@ def _robustness(each: _Each, tasks: Sequence[Task], bounds: Sequence[float]) -> 
     conditions = [Imperfections(hold=hold) for hold in (2, 4, 8)]
     conditions += [Imperfections(latency=latency) for latency in (1, 2, 4)]
     conditions += [Imperfections(noise=noise) for noise in (0.01, 0.03, 0.1)]
-    conditions += [Imperfections(hold=4, latency=4, noise=0.1)]
-    for loop in conditions:
-        function = partial(_run, *_BEST, _settings(), DURATION, imperfections=loop)
+    conditions += [Imperfections(hold=4, latency=4, noise=noise) for noise in (0.1, 0.5)]
+    cases: list[tuple[Imperfections, ObserverSettings | None]] = [(c, None) for c in conditions]
+    cases += [
+        (loop, ObserverSettings(position_noise=loop.noise, delay=loop.latency * STEP))
+        for loop in conditions[-2:]
+    ]
+    for loop, observer in cases:
+        function = partial(
+            _run, *_BEST, _settings(), DURATION, imperfections=loop, observer=observer
+        )
         found = each(f'{loop}', function, tasks)
-        row = {'hold_s': loop.hold * STEP, 'latency_s': loop.latency * STEP, 'sigma_m': loop.noise}
+        row = {
+            'hold_s': loop.hold * STEP,
+            'latency_s': loop.latency * STEP,
+            'sigma_m': loop.noise,
+            'observer': 'kalman' if observer else 'none',
+        }
         rows.append({**columns, **row, **summary(found, bounds)})
     network = load_network(_SYSTEM)
     for name in ('stiffness', 'damping', 'mass'):

@@ -309,10 +309,10 @@ def _laws(rows: Rows) -> str:
             [
                 row['law'],
                 row['checkpoint'].partition('@')[0].removeprefix('paper_2_').replace('_', ', '),
-                _number(row['final_nmse_median']),
-                _number(row['final_nmse_max']),
-                f'{row["final_over_bound_median"]:.3g}',
-                f'{row["nmse_2s_over_bound_median"]:.3g}',
+                _short(row['final_nmse_median']),
+                _short(row['final_nmse_max']),
+                _short(row['final_over_bound_median']),
+                _short(row['nmse_2s_over_bound_median']),
                 f'{row["settling_time_median_s"]:.2f}',
                 f'{row["failed"]} of {row["runs"]}',
                 f'{row["peak_force_median_N"]:.1f}',
@@ -331,9 +331,9 @@ def _robustness(rows: Rows) -> str:
         body.append(
             [
                 _condition(row),
-                f'{row["final_over_bound_median"]:.3g}',
-                f'{row["final_over_bound_90"]:.3g}',
-                f'{row["nmse_2s_over_bound_median"]:.3g}',
+                _short(row['final_over_bound_median']),
+                _short(row['final_over_bound_90']),
+                _short(row['nmse_2s_over_bound_median']),
                 f'{row["failed"]} of {row["runs"]}',
             ]
         )
@@ -351,7 +351,7 @@ def _condition(row: dict[str, Any]) -> str:
         f'latency {1e3 * row["latency_s"]:.0f} ms',
         f'σ = {row["sigma_m"]:g} m',
     ]
-    return ', '.join(parts)
+    return ', '.join(parts) + (', filtered' if row['observer'] == 'kalman' else '')
 
 
 def _reachable(rows: Rows) -> str:
@@ -393,6 +393,11 @@ def _number(value: float | None) -> str:
 
 def _percent(value: float | None) -> str:
     return '–' if value is None else f'{100 * value:.2g}'
+
+
+def _short(value: float | None) -> str:
+    """Return three digits; what is infinite stands as null in the files."""
+    return '∞' if value is None else f'{value:.3g}'
 
 
 def _milliseconds(value: float | None) -> str:

@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import read_run
-from dpc_ros.control import LawSettings, load_target, make_law, run_closed_loop
+from dpc_ros.control import LawSettings, ObservedLaw, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
@@ -174,15 +174,26 @@ def plan(tmp_path):
 def in_process():
     """Return a function: the demonstration's closed loop in one process, without ROS."""
 
-    def run(checkpoint='paper_2_extended_m5', encoder='network', steps=1000):
+    def run(
+        checkpoint='paper_2_extended_m5',
+        encoder='network',
+        steps=1000,
+        mass=162,
+        target='simulation:4@100',
+        law_name='lqr',
+        observer=None,
+        **settings,
+    ):
         single_threaded_algebra()
         network = load_network('paper_2')
         mechanics = Mechanics(network)
         autoencoder = with_encoder(load_checkpoint(checkpoint).autoencoder(), encoder)
-        settings = LawSettings(largest_force=20.0)
-        law = make_law('lqr', CompressedSystem(mechanics, autoencoder, 162), settings)
-        law.regulate(load_target('simulation:4@100', network))
-        return run_closed_loop(Body(Integrator(mechanics, 0.005), 162), autoencoder, law, steps)
+        system = CompressedSystem(mechanics, autoencoder, mass)
+        law = make_law(law_name, system, LawSettings(largest_force=20.0, **settings))
+        if observer is not None:
+            law = ObservedLaw(law, observer)
+        law.regulate(load_target(target, network))
+        return run_closed_loop(Body(Integrator(mechanics, 0.005), mass), autoencoder, law, steps)
 
     return run
 

@@ -1,12 +1,15 @@
 """A lockstep run over DDS is the in-process closed loop, bit for bit."""
 
+import csv
 import itertools
 
 import pytest
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 
+from dpc_ros.control import ObserverSettings
 from dpc_ros.nodes.topics import LOOP_QOS
+from dpc_ros.resources import config_path
 
 LOOP = ('simulator', 'encoder', 'controller')
 
@@ -41,6 +44,38 @@ def test_every_kind_of_encoder_gives_the_same(
     code, output = domain.run('launcher', *output_folder, *chosen)
     assert code == 0, output
     assert_repeats(tmp_path / 'run' / 'bag', in_process(checkpoint, encoder, steps=50))
+
+
+def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process):
+    """The first of the 50 of `dpc paper control`, with integral action beside."""
+    with config_path('control', 'paper_targets.csv').open(newline='') as file:
+        row = next(csv.DictReader(file))
+    mass, target = row['actuated_mass'], row['target']
+    code, output = domain.run(
+        'launcher',
+        *('--output', str(tmp_path / 'run'), '--mass', mass, '--target', target),
+        *('--law', 'lqr', '--set', 'controller.integral_gain=0.5'),
+    )
+    assert code == 0, output
+    expected = in_process(mass=int(mass), target=target, integral_gain=0.5)
+    assert_repeats(tmp_path / 'run' / 'bag', expected)
+
+
+@pytest.mark.parametrize('law', ['paper', 'transpose', 'reduced_equilibrium'])
+def test_every_law_gives_the_same(domain, tmp_path, assert_repeats, in_process, law):
+    output_folder = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
+    code, output = domain.run('launcher', *output_folder, '--law', law)
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, law_name=law))
+
+
+def test_an_observed_law_gives_the_same(domain, tmp_path, assert_repeats, in_process):
+    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
+    arguments += ['--set', 'controller.observer=kalman', '--set', 'controller.delay=0.01']
+    code, output = domain.run('launcher', *arguments)
+    assert code == 0, output
+    observer = ObserverSettings(delay=0.01)
+    assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, observer=observer))
 
 
 def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats):

@@ -1,0 +1,223 @@
+"""An extended Kalman filter on the compressed dynamics: less noise, gaps bridged, delay met."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from dpc_ros.control.law import ControlLaw
+from dpc_ros.control.targets import Target
+from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
+
+_NANOSECOND = 1e-9  # s
+_LONGEST_STEP = 0.01  # s, of a prediction
+_DIFFERENCE = 1e-5  # of a state, for the derivative of a prediction
+
+State = tuple[Float[np.ndarray, '*rows m'], Float[np.ndarray, '*rows m']]
+
+
+@dataclass(frozen=True)
+class ObserverSettings:
+    """What the filter takes for granted.
+
+    Attributes:
+        position_noise: deviation of the noise on each measured coordinate [m].
+        velocity_noise: of the noise on each measured velocity [m/s].
+        acceleration_noise: of what the compressed dynamics leaves out, as white noise on the
+            acceleration of each coordinate [m/s^1.5].
+        delay: from a measurement to the moment when its force acts [s].
+        longest_gap: without a measurement, after which the filter begins anew [s].
+
+    Raises:
+        ValueError: a number is negative or not finite, or a noise of the measurements is zero.
+    """
+
+    position_noise: float = 0.01
+    velocity_noise: float = 0.05
+    acceleration_noise: float = 0.5
+    delay: float = 0.0
+    longest_gap: float = 0.5
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value, name = getattr(self, each.name), each.name.replace('_', ' ')
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f'{name}: expected a finite number ≥ 0, got {value}')
+        if not (self.position_noise > 0 and self.velocity_noise > 0):
+            raise ValueError(f'noise of measurements: expected numbers > 0, got {self}')
+
+
+class LatentObserver:
+    """Estimates (ξ, ξ̇) from measured ones, their times and the forces that acted between.
+
+    The prediction integrates the compressed system, its covariance is carried by the derivative of
+    that flow; the measurement is the state itself, with the noise of the coordinates as it comes
+    through the decoder's left inverse, σ²(JᵀJ)⁻¹. (Anderson and Moore, Optimal Filtering, section
+    8.2.)
+
+    Args:
+        system: the compressed system.
+        settings: noise and delay.
+    """
+
+    def __init__(self, system: CompressedSystem, settings: ObserverSettings) -> None:
+        self.system = system
+        self.settings = settings
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything."""
+        self._stamp: int | None = None
+        self._state: State | None = None
+        self._covariance = np.zeros((0, 0))
+        self._forces: list[tuple[int, np.ndarray]] = []
+        self.innovation = np.zeros(0)  # what the last measurement had that was not foretold
+        self.innovation_covariance = np.zeros((0, 0))
+
+    def acted(self, stamp: int, force: Float[np.ndarray, ' 2']) -> None:
+        """Note the force [N] that answers the measurement of a stamp [ns]."""
+        kept = stamp - round((self.settings.longest_gap + self.settings.delay) / _NANOSECOND)
+        self._forces = [each for each in self._forces if each[0] >= kept]
+        self._forces.append((stamp, force))
+
+    def update(
+        self,
+        latent: Float[np.ndarray, ' m'],
+        velocity: Float[np.ndarray, ' m'],
+        stamp: int,
+    ) -> State:
+        """Take a measurement of a time [ns] and return the estimate of (ξ, ξ̇) then.
+
+        The first measurement, one after too long a gap, and one from before the last begin anew.
+        """
+        noise = self._measurement_covariance(latent)
+        gap = math.inf if self._stamp is None else (stamp - self._stamp) * _NANOSECOND
+        if self._state is None or not 0 <= gap <= self.settings.longest_gap:
+            return self._begin(latent, velocity, stamp, noise)
+        assert self._stamp is not None
+        try:
+            state, covariance = self._predict(self._state, self._covariance, self._stamp, stamp)
+        except DivergenceError:
+            return self._begin(latent, velocity, stamp, noise)
+        predicted = np.concatenate(state)
+        self.innovation = np.concatenate([latent, velocity]) - predicted
+        self.innovation_covariance = covariance + noise
+        gain = np.linalg.solve(self.innovation_covariance, covariance).T
+        left = np.eye(predicted.size) - gain
+        self._covariance = left @ covariance @ left.T + gain @ noise @ gain.T
+        estimate = predicted + gain @ self.innovation
+        m = self.system.latent_size
+        self._state, self._stamp = (estimate[:m], estimate[m:]), stamp
+        return self._state
+
+    def ahead(self) -> State:
+        """Return the estimate for the moment when an answer to the last measurement will act.
+
+        Raises:
+            ValueError: there was no measurement yet.
+        """
+        if self._state is None or self._stamp is None:
+            raise ValueError('expected a measurement before a prediction')
+        then = self._stamp + round(self.settings.delay / _NANOSECOND)
+        try:
+            return self._flow(self._state, self._stamp, then)
+        except DivergenceError:
+            return self._state
+
+    def _begin(
+        self, latent: np.ndarray, velocity: np.ndarray, stamp: int, noise: np.ndarray
+    ) -> State:
+        forces = [] if self._stamp is None or stamp < self._stamp else self._forces
+        self.restart()
+        self._forces = forces
+        self._state, self._stamp, self._covariance = (latent, velocity), stamp, noise
+        return self._state
+
+    def _predict(
+        self, state: State, covariance: np.ndarray, begin: int, end: int
+    ) -> tuple[State, np.ndarray]:
+        m = self.system.latent_size
+        point = np.concatenate(state)
+        moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
+        flown = np.hstack(self._flow((moved[:, :m], moved[:, m:]), begin, end))
+        derivative = (flown[1:] - flown[0]).T / _DIFFERENCE
+        duration = (end - begin) * _NANOSECOND
+        covariance = derivative @ covariance @ derivative.T
+        covariance += self._process_covariance(state[0], duration)
+        return (flown[0, :m], flown[0, m:]), covariance
+
+    def _flow(self, state: State, begin: int, end: int) -> State:
+        """Return one state, or several as rows, moved on from one time to another [ns]."""
+        delay = round(self.settings.delay / _NANOSECOND)
+        changes = sorted({begin, end} | {stamp + delay for stamp, _ in self._forces})
+        changes = [time for time in changes if begin <= time <= end]
+        for first, last in pairwise(changes):
+            acting = [force for stamp, force in self._forces if stamp + delay <= first]
+            duration = (last - first) * _NANOSECOND
+            steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
+            run = simulate_compressed(
+                self.system, *state, duration / steps, steps, acting[-1] if acting else None
+            )
+            state = (run.latent[-1], run.velocity[-1])
+        return state
+
+    def _measurement_covariance(self, latent: np.ndarray) -> np.ndarray:
+        inverse = self._inverse_spread(latent)
+        settings, nothing = self.settings, np.zeros_like(inverse)
+        position, velocity = settings.position_noise**2, settings.velocity_noise**2
+        return np.block([[position * inverse, nothing], [nothing, velocity * inverse]])
+
+    def _process_covariance(self, latent: np.ndarray, duration: float) -> np.ndarray:
+        """Return that of white noise on the acceleration over a time [s]."""
+        inverse = self.settings.acceleration_noise**2 * self._inverse_spread(latent)
+        both = duration**2 / 2 * inverse
+        return np.block([[duration**3 / 3 * inverse, both], [both, duration * inverse]])
+
+    def _inverse_spread(self, latent: np.ndarray) -> np.ndarray:
+        """Return (JᵀJ)⁻¹, the covariance of a latent state under unit noise on the coordinates."""
+        jacobian = self.system.autoencoder.decoder_jacobian(latent)
+        return np.linalg.inv(jacobian.T @ jacobian)
+
+
+class ObservedLaw(ControlLaw):
+    """Another law on the estimated state, at the moment when its force will act.
+
+    Args:
+        law: the law.
+        settings: of the filter.
+    """
+
+    def __init__(self, law: ControlLaw, settings: ObserverSettings) -> None:
+        super().__init__(law.system, law.settings)
+        self.law = law
+        self.observer = LatentObserver(law.system, settings)
+
+    def regulate(self, target: Target) -> None:
+        self.law.regulate(target)
+
+    def unbounded_force(
+        self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
+    ) -> Float[np.ndarray, ' 2']:
+        return self.law.unbounded_force(latent, latent_velocity)
+
+    def force(
+        self,
+        latent: Float[np.ndarray, ' m'],
+        latent_velocity: Float[np.ndarray, ' m'],
+        stamp: int = 0,
+    ) -> Float[np.ndarray, ' 2']:
+        state = self.observer.update(latent, latent_velocity, stamp)
+        if self.observer.settings.delay:
+            state = self.observer.ahead()
+        force = self.law.force(*state, stamp)
+        self.saturated = self.law.saturated
+        self.observer.acted(stamp, force)
+        return force
+
+    def restart(self) -> None:
+        self.law.restart()
+        self.observer.restart()

@@ -1,0 +1,151 @@
+"""The control experiment runs what its files say and counts what came of it."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from dpc_ros.control import Imperfections, LawSettings, load_target
+from dpc_ros.network import load_network
+from dpc_ros.paper import control
+from dpc_ros.resources import share_directory
+
+RESULTS = share_directory() / 'docs' / 'results'
+LIMIT = LawSettings(largest_force=20.0)
+
+
+def outcome(*nmse):
+    """Return a run of 5 s whose error takes these values over equal parts of it."""
+    return control.Outcome(np.repeat(nmse, 1001 // len(nmse) + 1)[:1001].astype(float))
+
+
+@pytest.fixture(scope='module')
+def tasks():
+    return control.load_tasks('paper_targets')
+
+
+def test_targets_are_drawn_as_the_paper_says(tasks, paper_2):
+    assert [task.run for task in tasks] == list(range(1, 51))
+    assert {task.mass for task in tasks} == {122, 162, 192}
+    rows = (share_directory() / 'config/control/paper_targets.csv').read_text().splitlines()[1:]
+    for task, row in list(zip(tasks, rows, strict=True))[::10]:
+        specification = row.split(',')[2]
+        simulation, step = specification.removeprefix('simulation:').split('@')
+        assert 1 <= int(simulation) <= 7
+        assert 50 <= int(step) <= 400
+        expected = load_target(specification, paper_2).configuration
+        np.testing.assert_array_equal(task.target, expected)
+
+
+def test_no_target_is_one_that_gains_are_chosen_on():
+    for name in ('paper_targets', 'reachable_targets'):
+        tuning = f'tuning_{name.removeprefix("paper_")}'
+        files = [share_directory() / f'config/control/{each}.csv' for each in (name, tuning)]
+        reported, chosen = ({line.split(',', 1)[1] for line in f.open()} for f in files)
+        assert len(reported & chosen) == 1  # the header
+
+
+def test_reachable_targets_are_held(mechanics):
+    network = load_network('paper_2')
+    for task in control.load_tasks('tuning_reachable_targets')[:3]:
+        bound = control._bound(2, control.NO_GRAVITY, None, task)
+        assert bound < 1e-3
+        assert np.abs(task.target - network.rest_configuration).max() > 1e-3
+
+
+def test_a_run_reaches_what_is_possible(tasks):
+    task = tasks[7]
+    bound = control._bound(2, control.NO_GRAVITY, None, task)
+    found = control._run('lqr', 'paper_2_extended_m5', LIMIT, 5.0, task)
+    assert found.nmse[0] == 1.0
+    assert found.final < 1.2 * bound
+    assert found.peak_force <= 20.0 * (1 + 1e-12)
+    noisy = control._run(
+        'lqr', 'paper_2_extended_m5', LIMIT, 0.1, task, imperfections=Imperfections(noise=0.1)
+    )
+    assert np.abs(noisy.nmse[:21] - found.nmse[:21]).max() > 0
+
+
+def test_a_body_that_diverges_fails_and_stays_a_number(tasks):
+    wild = replace(LIMIT, proportional_gain=1e6, derivative_gain=0.0, largest_force=1e6)
+    found = control._run('transpose', 'paper_2_extended_m5', wild, 1.0, tasks[0])
+    assert found.failed
+    assert not np.isnan(found.nmse).any()
+    assert not np.isnan([found.peak_force, found.rms_force]).any()
+
+
+def test_what_is_counted_of_a_run():
+    falling = outcome(1.0, 0.5, 0.1, 0.1)
+    assert falling.final == pytest.approx(0.1)
+    assert not falling.failed
+    assert falling.settling_time == pytest.approx(2.5, abs=0.02)
+    assert falling.at(2.0) == 0.5
+    assert outcome(1.0, 2.0).failed
+    assert outcome(1.0, np.inf).failed
+    never = outcome(0.3)
+    assert never.settling_time == 0.0
+
+
+def test_a_summary_is_beside_the_bound_of_each_run():
+    found = [outcome(1.0, 0.2), outcome(1.0, 0.3), outcome(1.0, 3.0)]
+    row = control.summary(found, [0.1, 0.3, 0.5])
+    assert (row['runs'], row['failed']) == (3, 1)
+    assert row['final_over_bound_median'] == pytest.approx(2.0)
+    assert row['final_nmse_median'] == pytest.approx(0.3)
+    assert row['final_nmse_max'] == pytest.approx(3.0)
+
+
+def test_the_best_gains_are_those_of_the_smallest_error():
+    rows = [
+        {
+            'law': 'paper',
+            'checkpoint': 'a@1',
+            'proportional_gain': alpha,
+            'derivative_gain': 1.0,
+            'final_nmse_median': error,
+        }
+        for alpha, error in ((1.0, 0.5), (2.0, 0.1), (3.0, np.inf))
+    ]
+    (settings,) = control._best_gains(rows).values()
+    assert settings.proportional_gain == 2.0
+    assert settings.largest_force == 20.0
+
+
+def test_tuning_reads_other_targets_only(monkeypatch):
+    read = []
+
+    def tasks_of(name):
+        read.append(name)
+        return []
+
+    monkeypatch.setattr(control, 'load_tasks', tasks_of)
+    monkeypatch.setattr(control, '_LAWS', (('paper', 'paper_2_flat_m2'),))
+    rows = control._tune(lambda description, function, tasks: [outcome(1.0)])
+    assert read == ['tuning_targets']
+    assert len(rows) == 9
+
+
+def test_results_hold_every_run_and_the_figure_follows(tmp_path):
+    rows = {
+        name: json.loads((RESULTS / f'{name}.json').read_text())['rows']
+        for name in ('control', 'control_runs', 'control_time')
+    }
+    laws = [row for row in rows['control'] if row['experiment'] == 'paper_targets']
+    assert len(rows['control_runs']) == 50 * len(laws)
+    for law in laws:
+        runs = [
+            row
+            for row in rows['control_runs']
+            if (row['law'], row['checkpoint']) == (law['law'], law['checkpoint'])
+        ]
+        assert sum(run['failed'] for run in runs) == law['failed']
+    control.draw_time(rows['control_time'], tmp_path / 'control.png')
+    assert (tmp_path / 'control.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_workers_end_with_the_experiment():
+    with control._workers() as pool:
+        found = control._in_turn(pool, False, 'tasks', partial(pow, 2), [1, 2, 3])
+    assert found == [2, 4, 8]
