@@ -43,7 +43,9 @@ def test_no_target_is_one_that_gains_are_chosen_on():
     for name in ('paper_targets', 'reachable_targets'):
         tuning = f'tuning_{name.removeprefix("paper_")}'
         files = [share_directory() / f'config/control/{each}.csv' for each in (name, tuning)]
-        reported, chosen = ({line.split(',', 1)[1] for line in f.open()} for f in files)
+        reported, chosen = (
+            {line.split(',', 1)[1] for line in path.read_text().splitlines()} for path in files
+        )
         assert len(reported & chosen) == 1  # the header
 
 
