@@ -101,12 +101,13 @@ class LatentObserver:
         assert self._stamp is not None
         try:
             state, covariance = self._predict(self._state, self._covariance, self._stamp, stamp)
-        except DivergenceError:
+            total = covariance + noise
+            gain = np.linalg.solve(total, covariance).T
+        except (DivergenceError, np.linalg.LinAlgError):
             return self._begin(latent, velocity, stamp, noise)
         predicted = np.concatenate(state)
         self.innovation = np.concatenate([latent, velocity]) - predicted
-        self.innovation_covariance = covariance + noise
-        gain = np.linalg.solve(self.innovation_covariance, covariance).T
+        self.innovation_covariance = total
         left = np.eye(predicted.size) - gain
         self._covariance = left @ covariance @ left.T + gain @ noise @ gain.T
         estimate = predicted + gain @ self.innovation
@@ -180,7 +181,7 @@ class LatentObserver:
     def _inverse_spread(self, latent: np.ndarray) -> np.ndarray:
         """Return (JᵀJ)⁻¹, the covariance of a latent state under unit noise on the coordinates."""
         jacobian = self.system.autoencoder.decoder_jacobian(latent)
-        return np.linalg.inv(jacobian.T @ jacobian)
+        return np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
 
 
 class ObservedLaw(ControlLaw):

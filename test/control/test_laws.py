@@ -24,6 +24,7 @@ from dpc_ros.control import (
     reduced_equilibrium,
 )
 from dpc_ros.control.laws import damped_left_inverse
+from dpc_ros.reduction import simulate_compressed
 
 ALPHA, BETA = 0.7, 1.3
 SETTINGS = LawSettings(proportional_gain=ALPHA, derivative_gain=BETA)
@@ -286,3 +287,41 @@ def test_integral_stands_still_while_the_force_is_saturated(small_system, target
         law.force(law._target + 5.0, np.zeros(3), k * 10_000_000)
         assert law.saturated
     np.testing.assert_array_equal(law._integral, 0)
+
+
+def lyapunov(system, goal, latent, velocity):
+    """Return W = η − V_η(ξ̄) − (ξ − ξ̄)ᵀ∇V_η(ξ̄) + ½α|ξ̄ − ξ|²."""
+    away = latent - goal
+    energy = system.total_energy(latent, velocity) - system.potential(goal)
+    return energy - away @ system.potential_gradient(goal) + 0.5 * ALPHA * away @ away
+
+
+def exact_law(system, goal, latent, velocity):
+    """Return the paper's force at m = 2 with Γ at ξ and its inverse not damped."""
+    momentum = system.momentum(latent, velocity)
+    wanted = system.potential_gradient(goal) + ALPHA * (goal - latent) - BETA * momentum
+    return np.linalg.solve(system.input_field(latent), wanted)
+
+
+def test_the_papers_lyapunov_function_falls_at_its_rate(small_system):
+    """Ẇ = −ξ̇ᵀ(Δ + βM_η)ξ̇ along a latent run of the paper's law."""
+    system = small_system(2)
+    goal = np.array([0.3, -0.2])
+    latent, velocity = np.array([-0.2, 0.3]), np.array([0.5, 0.4])
+    step, values, rates = 1e-4, [], []
+    for _ in range(2000):
+        values.append(lyapunov(system, goal, latent, velocity))
+        damping = system.damping_matrix(latent) + BETA * system.mass_matrix(latent)
+        rates.append(-velocity @ damping @ velocity)
+        force = exact_law(system, goal, latent, velocity)
+        # To rounding at every state,
+        power = system.power(latent, velocity, force)
+        static = system.potential_gradient(goal) + ALPHA * (goal - latent)
+        assert power - velocity @ static == pytest.approx(rates[-1], rel=1e-9, abs=1e-12)
+        run = simulate_compressed(system, latent, velocity, step, 1, force)
+        latent, velocity = run.latent[-1], run.velocity[-1]
+    # and in sum along the run, whose forces are held over each step.
+    fallen = values[-1] - values[0]
+    expected = step * (np.sum(rates) - 0.5 * (rates[0] + rates[-1]))
+    assert fallen == pytest.approx(expected, rel=1e-2)
+    assert fallen < 0
