@@ -16,6 +16,7 @@ from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
 _NANOSECOND = 1e-9  # s
+_LONGEST_GAP = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ class ControlLaw(ABC):
 
         Args:
             latent: ξ of this step.
-            elapsed: time since the step before [s], zero at the first.
+            elapsed: time since the step before [s]; zero at the first, and after a gap of more than
+                half a second, in which nobody knows what was.
         """
 
     def force(
@@ -116,9 +118,9 @@ class ControlLaw(ABC):
         wanted = self.unbounded_force(latent, latent_velocity)
         force = shorten(wanted, self.settings.largest_force)
         self.saturated = force is not wanted
-        elapsed = 0 if self._last_stamp is None else max(stamp - self._last_stamp, 0)
+        elapsed = 0 if self._last_stamp is None else (stamp - self._last_stamp) * _NANOSECOND
         self._last_stamp = stamp
-        self.advance(latent, elapsed * _NANOSECOND)
+        self.advance(latent, elapsed if 0 < elapsed <= _LONGEST_GAP else 0.0)
         return force
 
     def restart(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.control.equilibrium import feed_forward
+from dpc_ros.control.equilibrium import EquilibriumError, feed_forward
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
@@ -25,11 +25,11 @@ class PaperLaw(ControlLaw):
         self._left_inverse = np.zeros((2, system.latent_size))
 
     def regulate(self, target: Target) -> None:
-        self._target = self._target_latent(target)
-        self._gradient = self.system.potential_gradient(self._target)
-        self._left_inverse = damped_left_inverse(
-            self.system.input_field(self._target), self.settings.inverse_damping
-        )
+        latent = self._target_latent(target)
+        field = self.system.input_field(latent)
+        self._left_inverse = damped_left_inverse(field, self.settings.inverse_damping)
+        self._gradient = self.system.potential_gradient(latent)
+        self._target = latent
 
     def unbounded_force(
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
@@ -70,10 +70,11 @@ class TransposeLaw(_TransposeFeedback):
     """
 
     def regulate(self, target: Target) -> None:
-        self._target = self._target_latent(target)
-        self._input_field = self.system.input_field(self._target)
-        inverse = damped_left_inverse(self._input_field, self.settings.inverse_damping)
-        self._feed_forward = inverse @ self.system.potential_gradient(self._target)
+        latent = self._target_latent(target)
+        field = self.system.input_field(latent)
+        inverse = damped_left_inverse(field, self.settings.inverse_damping)
+        self._feed_forward = inverse @ self.system.potential_gradient(latent)
+        self._target, self._input_field = latent, field
 
 
 class ReducedEquilibriumLaw(_TransposeFeedback):
@@ -94,7 +95,14 @@ class ReducedEquilibriumLaw(_TransposeFeedback):
 def damped_left_inverse(
     input_field: Float[np.ndarray, 'm 2'], damping: float
 ) -> Float[np.ndarray, '2 m']:
-    """Return (ΓᵀΓ + λ²I)⁻¹Γᵀ with λ = damping · (largest singular value of Γ)."""
+    """Return (ΓᵀΓ + λ²I)⁻¹Γᵀ with λ = damping · (largest singular value of Γ).
+
+    Raises:
+        EquilibriumError: Γ is singular, and nothing is damped.
+    """
     largest = np.linalg.norm(input_field, 2)
     normal = input_field.T @ input_field + (damping * largest) ** 2 * np.eye(2)
-    return np.linalg.solve(normal, input_field.T)
+    try:
+        return np.linalg.solve(normal, input_field.T)
+    except np.linalg.LinAlgError as error:
+        raise EquilibriumError(f'the input field has no left inverse: {error}') from error

@@ -94,6 +94,8 @@ class LatentObserver:
 
         The first measurement, one after too long a gap, and one from before the last begin anew.
         """
+        if not (np.isfinite(latent).all() and np.isfinite(velocity).all()):
+            return latent, velocity  # there is nothing to learn from it
         noise = self._measurement_covariance(latent)
         gap = math.inf if self._stamp is None else (stamp - self._stamp) * _NANOSECOND
         if self._state is None or not 0 <= gap <= self.settings.longest_gap:

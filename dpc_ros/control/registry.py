@@ -32,10 +32,16 @@ def make_law(
         settings: gains and bound, the defaults where left out.
 
     Raises:
-        ValueError: there is no such law, or one of another package can't be loaded or made.
+        ValueError: there is no such law, one of this package is given options, or one of another
+            package can't be loaded or made.
     """
     settings = settings or LawSettings()
     if name in LAWS:
+        if settings.options:
+            raise ValueError(
+                f'control law {name!r} takes no options, got {sorted(settings.options)}: what it '
+                'takes are parameters of their own'
+            )
         return LAWS[name](system, settings)
     law = _load(name)
     try:

@@ -27,13 +27,14 @@ class QuadraticRegulator(ControlLaw):
     """u = u* + v + K_p(ξ* + Sv − ξ) − (K_d + cΓ*ᵀ)ξ̇, with gains of a latent Riccati equation.
 
     (u*, q*) is the static equilibrium of the full body nearest to the target, searched from the
-    reduced-equilibrium feed-forward, from rest and from the target; ξ* = E(q*). The decoder's
-    error moves neither. K minimises
+    reduced-equilibrium feed-forward, from rest and from the target; ξ* = E(q*).
+    K minimises
     ∫ mean((Jδξ)²) + w·mean((Jξ̇)²) + R|δu|² dt for the compressed system linearised there:
     M_η δξ̈ + Δ ξ̇ + Jᵀ∇²V(q*)J δξ = Γ δu (Anderson and Moore, Optimal Control, section 3.3).
     c damps the actuated mass, collocated with the force. v integrates the error along the two
     directions S = ∂ξ_eq/∂u that a constant force can move the equilibrium in: v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(q* −
     D(ξ)) with S̃ = JS. It waits after a new target, and stands still while the force is saturated.
+    It aims at D(ξ) = q*, which the decoder's error keeps from being ξ = ξ*.
     """
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
@@ -69,15 +70,19 @@ class QuadraticRegulator(ControlLaw):
             latent = autoencoder.encode(goal)
             jacobian = autoencoder.decoder_jacobian(latent)
             stiffness = jacobian.T @ mechanics.potential_hessian(goal) @ jacobian
-        gain = self._gain(latent, stiffness)
-        field = system.input_field(latent)
+        try:
+            gain = self._gain(latent, stiffness)
+            field = system.input_field(latent)
+            slope = np.linalg.solve(stiffness, field)
+            moved = autoencoder.decoder_jacobian(latent) @ slope
+            integrator = np.linalg.lstsq(moved, np.eye(len(moved)), rcond=None)[0]
+        except np.linalg.LinAlgError as error:
+            raise EquilibriumError(f'no regulator about the equilibrium: {error}') from error
         m = system.latent_size
         self._target, self._feed_forward, self._goal = latent, force, goal
         self._latent_gain = gain[:, :m]
         self._velocity_gain = gain[:, m:] + settings.collocated_damping * field.T
-        self._slope = np.linalg.solve(stiffness, field)
-        moved = autoencoder.decoder_jacobian(latent) @ self._slope
-        self._integrator = np.linalg.lstsq(moved, np.eye(len(moved)), rcond=None)[0]
+        self._slope, self._integrator = slope, integrator
         self._integral = np.zeros(2)
         self._since_target = 0.0
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, eigh
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from tqdm import tqdm
@@ -38,7 +38,8 @@ class StaticBound:
     Attributes:
         force: u [N] on the actuated mass.
         configuration: the equilibrium q [m].
-        nmse: MSE(q, q̄)/MSE(q_rest, q̄), the static bound.
+        nmse: MSE(q, q̄)/MSE(q_rest, q̄), the static bound; infinite for the target rest where the
+            body can't be held there.
         rms: root mean square of q − q̄ over the coordinates [m].
     """
 
@@ -106,8 +107,8 @@ class ConstantForce:
         3.4).
 
         Raises:
-            EquilibriumError: no convergence within the bound on iterations, or a force or start
-                that is not finite.
+            EquilibriumError: no convergence within the bound on iterations, an equilibrium that is
+                not stable, or a force or start that is not finite.
         """
         if not (np.isfinite(force).all() and np.isfinite(start).all()):
             raise EquilibriumError(f'expected a finite force and start, got {force} N')
@@ -135,12 +136,19 @@ class ConstantForce:
                 f'no static equilibrium under the force {np.round(force, 3).tolist()} N within '
                 f'{_NEWTON_ITERATIONS} steps'
             )
+        if not self.is_stable(configuration):
+            raise EquilibriumError(
+                f'the equilibrium under the force {np.round(force, 3).tolist()} N is not stable'
+            )
         return configuration
 
     def is_stable(self, configuration: Float[np.ndarray, ' n']) -> bool:
         """Return whether the potential has a strict minimum, its Hessian being positive there."""
-        hessian = self.mechanics.potential_hessian(configuration)
-        return bool(eigh(hessian, eigvals_only=True, subset_by_index=(0, 0))[0] > 0)
+        try:
+            self._banded.factor(self.mechanics.potential_hessian(configuration))
+        except LinAlgError:
+            return False
+        return True
 
     def slope(self, configuration: Float[np.ndarray, ' n']) -> Float[np.ndarray, 'n 2']:
         """Return ∂q_eq/∂u = (∇²V)⁻¹G [m/N] at a stable equilibrium.
@@ -203,12 +211,14 @@ def static_bound(
         progress: show a progress bar.
 
     Raises:
-        ValueError: fewer than 2 starts, or a target of another body.
+        ValueError: fewer than 2 starts, a negative bound, or a target of another body.
         NetworkError: the mass does not exist or is fixed.
         EquilibriumError: no search found any equilibrium.
     """
     if starts < 2:
         raise ValueError(f'starts: expected at least 2, got {starts}')
+    if not largest_force >= 0:
+        raise ValueError(f'largest force: expected a number ≥ 0 N, got {largest_force}')
     body = ConstantForce(mechanics, actuated_mass)
     rest = mechanics.network.rest_configuration
     if target.shape != rest.shape or not np.isfinite(target).all():
@@ -282,4 +292,5 @@ def nearest_equilibrium(
             damping *= 4.0
     mse = float(np.mean(residual**2))
     scale = float(np.mean((body.mechanics.network.rest_configuration - target) ** 2))
-    return StaticBound(force, configuration, mse / scale if scale else 0.0, float(np.sqrt(mse)))
+    nmse = mse / scale if scale else (np.inf if mse else 0.0)
+    return StaticBound(force, configuration, nmse, float(np.sqrt(mse)))

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
 import yaml
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.control import (
-    EquilibriumError,
     LawSettings,
     ObservedLaw,
     ObserverSettings,
@@ -81,6 +81,7 @@ class ControllerNode(LoopNode):
         self.create_input('target', self._take_target)
 
     def activate(self) -> None:
+        self._law.restart()
         if self._first_target is None:
             self.say('waiting for a target on the topic')
         elif self._target_publisher is not None:
@@ -115,7 +116,13 @@ class ControllerNode(LoopNode):
                 self._law.restart()
             if not self._regulate(stamp):
                 return
-            force = self._law.force(latent, latent_velocity, stamp)
+            try:
+                force = self._law.force(latent, latent_velocity, stamp)
+                if not (force.shape == (2,) and np.isfinite(force).all()):
+                    raise ValueError(f'expected a finite force in the plane, got {force}')
+            except Exception as error:  # whatever goes wrong in a law that is not ours
+                self.reject('latent_state', MessageError(f'control law: {error}'))
+                return
             self.health.saturated += self._law.saturated
             answer = force_message(message.header.stamp, self._mass, force)
             self._answers.remember(stamp, message, answer)
@@ -134,7 +141,7 @@ class ControllerNode(LoopNode):
             try:
                 self._law.regulate(target)
                 self._regulates = True
-            except EquilibriumError as error:
+            except Exception as error:  # EquilibriumError, or what a law that is not ours raises
                 self.reject('target', MessageError(str(error)))
         return self._regulates
 
@@ -143,9 +150,10 @@ def _law_settings(parameters: Mapping[str, Any]) -> LawSettings:
     """Return what the node's parameters say about the law: they have the names of its fields."""
     text = parameters['law_options']
     try:
-        options = yaml.safe_load(text) or {}
+        options = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ParameterError(f'law_options: expected YAML, got {text!r}') from error
+    options = {} if options is None else options
     if not isinstance(options, dict):
         raise ParameterError(f'law_options: expected names and values as YAML, got {text!r}')
     numbers = {each.name for each in fields(LawSettings)} - {'options'}

@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from dpc_ros.autoencoder import Autoencoder, load_checkpoint
 from dpc_ros.control import (
+    ClosedLoopRun,
     ConstantForce,
     EquilibriumError,
     Imperfections,
@@ -41,14 +42,18 @@ from dpc_ros.threads import single_threaded_algebra
 
 SEED = 0
 STEP = 0.005  # s
+_FAST = 0.001  # s, the shortest control step
 DURATION = 5.0  # s, of a run
 _LONG = 10.0  # s, of a run to a reachable target
 _FINAL = 0.25  # s at the end, whose mean error is the final one
 _LARGEST_FORCE = 20.0  # N
 _SYSTEM = 'paper_2'
-_STARTS, _FEW_STARTS = 20, 6  # of the search for a static bound; few for the other bodies
+_STARTS = 20  # of the search for a static bound
 _GRAVITY = Gravity(9.81)
 _CONTINUATION = 16  # forces on the way to a reachable target
+_OFTEN = 0.1  # part of the forces, from which shortening them is named as a reason
+_ILL_CONDITIONED = 10.0
+_AT_REST = 0.05  # m/s, root mean square over coordinates
 _SETTLED = 1.2  # times its final value, within which an error has settled
 
 # Law, checkpoint. The paper's own recipe is the flat autoencoder at m = 2.
@@ -124,7 +129,8 @@ class Outcome:
         nmse: MSE(q(t), q̄)/MSE(q(0), q̄) at every step; infinite after the body has diverged.
         peak_force, rms_force: of the applied force [N].
         saturated: part of the steps whose force the bound shortened.
-        reason: why there was no run, or empty.
+        reason: what was seen of a run that failed, or why there was none; else empty.
+        step: control step [s].
     """
 
     nmse: Float[np.ndarray, ' steps']
@@ -132,11 +138,12 @@ class Outcome:
     rms_force: float = 0.0
     saturated: float = 0.0
     reason: str = ''
+    step: float = STEP
 
     @property
     def final(self) -> float:
         """Mean over the last quarter of a second."""
-        return float(self.nmse[-round(_FINAL / STEP) :].mean())
+        return float(self.nmse[-round(_FINAL / self.step) :].mean())
 
     @property
     def failed(self) -> bool:
@@ -145,13 +152,15 @@ class Outcome:
 
     def at(self, time: float) -> float:
         """Return nMSE at a time [s]."""
-        return float(self.nmse[round(time / STEP)])
+        return float(self.nmse[round(time / self.step)])
 
     @property
     def settling_time(self) -> float:
-        """Time after which nMSE stays within 1.2 times its final value [s]."""
+        """Time [s] after which nMSE stays within 1.2 times its final value; never of a failure."""
+        if self.failed:
+            return np.inf
         outside = np.flatnonzero(self.nmse > _SETTLED * self.final)
-        return STEP * (int(outside[-1]) + 1 if len(outside) else 0)
+        return self.step * (int(outside[-1]) + 1 if len(outside) else 0)
 
 
 def summary(found: Sequence[Outcome], bounds: Sequence[float]) -> dict[str, Any]:
@@ -266,6 +275,7 @@ def _run(
     imperfections: Imperfections | None = None,
     truth: MassSpringNetwork | None = None,
     observer: ObserverSettings | None = None,
+    step: float = STEP,
 ) -> Outcome:
     """Return what comes of one run; `truth` is the body where it is not the one of the model."""
     network, autoencoder = _models(checkpoint)
@@ -276,13 +286,13 @@ def _run(
     )
     if observer is not None:
         law = ObservedLaw(law, observer)
-    steps = round(duration / STEP)
+    steps = round(duration / step)
     try:
         law.regulate(Target(configuration=task.target))
     except EquilibriumError as error:
-        return Outcome(np.full(steps + 1, np.inf), reason=str(error))
+        return Outcome(np.full(steps + 1, np.inf), reason=str(error), step=step)
     body = Body(
-        Integrator(Mechanics(truth or network, gravity), STEP),
+        Integrator(Mechanics(truth or network, gravity), step),
         task.mass,
         configuration=network.rest_configuration,
     )
@@ -300,7 +310,26 @@ def _run(
         nmse = np.nan_to_num(errors / errors[0], nan=np.inf)
     length = np.nan_to_num(np.linalg.norm(run.force, axis=1), nan=settings.largest_force)
     rms = float(np.sqrt(np.mean(length**2)))
-    return Outcome(nmse, float(length.max()), rms, float(np.mean(shortened)))
+    outcome = Outcome(nmse, float(length.max()), rms, float(np.mean(shortened)), step=step)
+    if not outcome.failed:
+        return outcome
+    return replace(outcome, reason=_why(law.system, task, run, outcome))
+
+
+def _why(system: CompressedSystem, task: Task, run: ClosedLoopRun, outcome: Outcome) -> str:
+    """Return what is seen of a run that failed: force, input field, motion at the end."""
+    if not np.isfinite(outcome.final):
+        return 'the body diverged'
+    seen = []
+    if outcome.saturated > _OFTEN:
+        seen.append(f'{outcome.saturated:.0%} of the forces shortened to the bound')
+    field = system.input_field(system.autoencoder.encode(task.target))
+    condition = float(np.linalg.cond(field))
+    if condition > _ILL_CONDITIONED:
+        seen.append(f'condition {condition:.0f} of Γ at the target')
+    speed = float(np.sqrt(np.mean(run.velocity[-round(_FINAL / outcome.step) :] ** 2)))
+    seen.append('moving at the end' if speed > _AT_REST else 'at rest elsewhere')
+    return ', '.join(seen)
 
 
 @lru_cache(maxsize=4)
@@ -318,11 +347,10 @@ def _bounds(
     each: _Each,
     description: str,
     tasks: Sequence[Task],
-    starts: int = _STARTS,
     gravity: Gravity = NO_GRAVITY,
     truth: MassSpringNetwork | None = None,
 ) -> list[float]:
-    return each(description, partial(_bound, starts, gravity, truth), tasks)
+    return each(description, partial(_bound, _STARTS, gravity, truth), tasks)
 
 
 def _tune(each: _Each) -> Rows:
@@ -367,7 +395,7 @@ def _best_gains(tuning: Rows) -> dict[tuple[str, str], LawSettings]:
 
 def _with_gravity(each: _Each, tasks: Sequence[Task]) -> Rows:
     """Return the row of the best law where gravity pulls, known to the law."""
-    bounds = _bounds(each, 'static bounds under gravity', tasks, _FEW_STARTS, _GRAVITY)
+    bounds = _bounds(each, 'static bounds under gravity', tasks, _GRAVITY)
     function = partial(_run, *_BEST, _settings(), DURATION, gravity=_GRAVITY)
     found = each('under gravity', function, tasks)
     columns = {'experiment': 'gravity', **_columns(*_BEST, _settings())}
@@ -415,11 +443,16 @@ def _robustness(each: _Each, tasks: Sequence[Task], bounds: Sequence[float]) -> 
             'observer': 'kalman' if observer else 'none',
         }
         rows.append({**columns, **row, **summary(found, bounds)})
+    fast = partial(_run, *_BEST, _settings(), DURATION, step=_FAST)
+    row = {'hold_s': _FAST, 'observer': 'none', **summary(each('1 ms', fast, tasks), bounds)}
+    rows.insert(0, {**columns, **row})
     network = load_network(_SYSTEM)
     for name in ('stiffness', 'damping', 'mass'):
         for factor in (0.8, 1.2):
             truth = replace(network, **{name: factor * getattr(network, name)})
-            there = _bounds(each, f'static bounds, {name} × {factor}', tasks, 2, truth=truth)
+            there = bounds
+            if name == 'stiffness':  # the others move no equilibrium
+                there = _bounds(each, f'static bounds, {name} × {factor}', tasks, truth=truth)
             function = partial(_run, *_BEST, _settings(), DURATION, truth=truth)
             found = each(f'{name} × {factor}', function, tasks)
             row = {f'{name}_factor': factor, **summary(found, there)}

@@ -340,6 +340,24 @@ def _robustness(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _failures(rows: Rows) -> str:
+    """Return every failed run of the paper's law at m = 2, with what was seen of it."""
+    header = ['autoencoder', 'run', 'mass', 'final nMSE', 'static bound', 'what was seen']
+    body = [
+        [
+            row['checkpoint'].partition('@')[0].removeprefix('paper_2_').replace('_', ', '),
+            str(row['run']),
+            str(row['actuated_mass']),
+            _short(row['final_nmse']),
+            _short(row['static_bound']),
+            row['reason'],
+        ]
+        for row in rows
+        if row['failed'] and row['law'] == 'paper' and row['latent_size'] == 2
+    ]
+    return _markdown(header, body)
+
+
 def _condition(row: dict[str, Any]) -> str:
     if row['experiment'] == 'gravity':
         return f'gravity of {row["gravity_m_s2"]:g} m/s²'
@@ -384,6 +402,7 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'laws': _laws,
     'robustness': _robustness,
     'reachable': _reachable,
+    'failures': _failures,
 }
 
 

@@ -12,6 +12,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from dpc_ros.control import (
     LAWS,
     ConstantForce,
+    EquilibriumError,
     LawSettings,
     PaperLaw,
     QuadraticRegulator,
@@ -325,3 +326,41 @@ def test_the_papers_lyapunov_function_falls_at_its_rate(small_system):
     expected = step * (np.sum(rates) - 0.5 * (rates[0] + rates[-1]))
     assert fallen == pytest.approx(expected, rel=1e-2)
     assert fallen < 0
+
+
+def test_a_riccati_equation_without_solution_leaves_the_old_target(
+    small_system, target, monkeypatch
+):
+    law = QuadraticRegulator(small_system(3), LawSettings())
+    law.regulate(target)
+    state = np.ones(3), np.ones(3)
+    before = law.force(*state)
+
+    def fails(*arguments):
+        raise np.linalg.LinAlgError('no solution')
+
+    monkeypatch.setattr('dpc_ros.control.regulator.solve_continuous_are', fails)
+    with pytest.raises(EquilibriumError, match='no regulator about the equilibrium: no solution'):
+        law.regulate(Target(latent=np.zeros(3)))
+    np.testing.assert_array_equal(law.force(*state), before)
+
+
+def test_integral_does_not_jump_over_a_gap(small_system, target):
+    settings = LawSettings(integral_gain=2.0, integral_delay=0.0)
+    law = QuadraticRegulator(small_system(3), settings)
+    law.regulate(target)
+    latent = law._target + 0.2
+    law.force(latent, np.zeros(3), 0)
+    before = law.force(latent, np.zeros(3), 10_000_000)
+    law.force(latent, np.zeros(3), 60_000_000_000)
+    moved = law._integral.copy()
+    law.force(latent, np.zeros(3), 60_010_000_000)
+    again = law._integral - moved
+    assert np.linalg.norm(again) > 0
+    np.testing.assert_allclose(moved, again, rtol=1e-6)  # of the one step before the gap
+    assert np.isfinite(before).all()
+
+
+def test_a_law_of_this_package_takes_no_options(small_system):
+    with pytest.raises(ValueError, match=r"'lqr' takes no options, got \['force_weight'\]"):
+        make_law('lqr', small_system(3), LawSettings(options={'force_weight': 1.0}))

@@ -148,3 +148,11 @@ def test_bad_settings_are_refused(name, value):
 def test_measurements_without_noise_are_refused():
     with pytest.raises(ValueError, match='noise of measurements: expected numbers > 0'):
         ObserverSettings(position_noise=0.0)
+
+
+def test_what_is_no_number_passes_through_and_leaves_the_filter(small_system):
+    observer = LatentObserver(small_system(3), NOISE)
+    before = observer.update(*START, 0)
+    nothing = np.full(3, np.nan)
+    np.testing.assert_array_equal(observer.update(nothing, nothing, NANOSECONDS), [nothing] * 2)
+    np.testing.assert_array_equal(observer.ahead(), before)

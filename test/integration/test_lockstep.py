@@ -103,7 +103,8 @@ def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, 
 
 @pytest.mark.parametrize('late', ['encoder', 'controller'])
 def test_a_late_node_catches_up(domain, observer, plan, assert_repeats, late):
-    made = plan(simulator={'expected_subscribers': ['recorder'], 'resend_interval': 0.05})
+    readers = ['recorder', 'observer']
+    made = plan(simulator={'expected_subscribers': readers, 'resend_interval': 0.05})
     seen = []
     observer.node.create_subscription(
         JointState, 'configuration', lambda message: seen.append(message), LOOP_QOS
@@ -124,7 +125,15 @@ def test_a_late_node_catches_up(domain, observer, plan, assert_repeats, late):
 
 
 def test_a_restarted_encoder_catches_up(domain, observer, plan, assert_repeats):
-    made = plan(simulator={'resend_interval': 0.05, 'response_timeout': 100.0})
+    # The simulator waits for the observer, too: the run can be over before it is discovered.
+    readers = ['encoder', 'recorder', 'observer']
+    made = plan(
+        simulator={
+            'expected_subscribers': readers,
+            'resend_interval': 0.05,
+            'response_timeout': 100.0,
+        }
+    )
     reached = []
     observer.node.create_subscription(
         JointState,

@@ -74,8 +74,19 @@ def test_a_body_that_diverges_fails_and_stays_a_number(tasks):
     wild = replace(LIMIT, proportional_gain=1e6, derivative_gain=0.0, largest_force=1e6)
     found = control._run('transpose', 'paper_2_extended_m5', wild, 1.0, tasks[0])
     assert found.failed
+    assert found.reason
     assert not np.isnan(found.nmse).any()
     assert not np.isnan([found.peak_force, found.rms_force]).any()
+
+
+def test_the_time_of_a_run_does_not_depend_on_its_step(tasks):
+    coarse, fine = (
+        control._run('lqr', 'paper_2_extended_m5', LIMIT, 1.0, tasks[7], step=step)
+        for step in (0.005, 0.001)
+    )
+    assert len(fine.nmse) == 1001
+    assert fine.at(0.8) == pytest.approx(coarse.at(0.8), rel=0.05)
+    assert fine.reason == coarse.reason == ''
 
 
 def test_what_is_counted_of_a_run():
@@ -86,8 +97,8 @@ def test_what_is_counted_of_a_run():
     assert falling.at(2.0) == 0.5
     assert outcome(1.0, 2.0).failed
     assert outcome(1.0, np.inf).failed
-    never = outcome(0.3)
-    assert never.settling_time == 0.0
+    assert outcome(0.3).settling_time == 0.0
+    assert outcome(1.0, np.inf).settling_time == np.inf
 
 
 def test_a_summary_is_beside_the_bound_of_each_run():
