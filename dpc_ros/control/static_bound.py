@@ -1,7 +1,8 @@
 """What a constant force can hold: static equilibria of the full body, and the one nearest a target.
 
-No controller ends nearer to a target for ever than a constant force on the actuated mass can hold
-the body: the static bound. It is known before anything runs.
+The static bound of a target is the best that a controller which comes to rest with a constant force
+on the actuated mass can do, of the equilibria that are stable without feedback. It is known before
+anything runs.
 """
 
 from __future__ import annotations

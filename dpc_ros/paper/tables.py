@@ -313,7 +313,7 @@ def _laws(rows: Rows) -> str:
                 _short(row['final_nmse_max']),
                 _short(row['final_over_bound_median']),
                 _short(row['nmse_2s_over_bound_median']),
-                f'{row["settling_time_median_s"]:.2f}',
+                _short(row['settling_time_median_s']),
                 f'{row["failed"]} of {row["runs"]}',
                 f'{row["peak_force_median_N"]:.1f}',
                 f'{row["rms_force_median_N"]:.1f}',
