@@ -9,6 +9,13 @@ from jaxtyping import Float
 
 from dpc_ros.autoencoder.compiled import DenseDecoder
 
+# D(ξ), J and J̇ξ̇
+Derivatives = tuple[
+    Float[np.ndarray, '*batch n'],
+    Float[np.ndarray, '*batch n m'],
+    Float[np.ndarray, '*batch n'],
+]
+
 
 class Autoencoder(ABC):
     """An encoder E: ℝⁿ → ℝᵐ and a decoder D: ℝᵐ → ℝⁿ with their derivatives, in float64.
@@ -57,11 +64,7 @@ class Autoencoder(ABC):
         self,
         latent: Float[np.ndarray, '*batch m'],
         latent_velocity: Float[np.ndarray, '*batch m'],
-    ) -> tuple[
-        Float[np.ndarray, '*batch n'],
-        Float[np.ndarray, '*batch n m'],
-        Float[np.ndarray, '*batch n'],
-    ]:
+    ) -> Derivatives:
         """Return D(ξ) [m], J = ∂D/∂ξ and J̇ξ̇, the second derivative of D along ξ̇ [m/s²]."""
 
     def compiled_decoder(self) -> DenseDecoder | None:

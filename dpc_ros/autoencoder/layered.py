@@ -12,7 +12,7 @@ from dpc_ros.autoencoder.architecture import (
     GraphArchitecture,
     PodArchitecture,
 )
-from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.base import Autoencoder, Derivatives
 from dpc_ros.autoencoder.compiled import DenseDecoder, dense_decoder
 from dpc_ros.autoencoder.layers import DenseLayer, Layer
 from dpc_ros.autoencoder.perceptron import Perceptron
@@ -72,11 +72,7 @@ class LayeredAutoencoder(Autoencoder):
         self,
         latent: Float[np.ndarray, '*batch m'],
         latent_velocity: Float[np.ndarray, '*batch m'],
-    ) -> tuple[
-        Float[np.ndarray, '*batch n'],
-        Float[np.ndarray, '*batch n m'],
-        Float[np.ndarray, '*batch n'],
-    ]:
+    ) -> Derivatives:
         return self._decoder.value_and_derivatives(latent, latent_velocity)
 
     def compiled_decoder(self) -> DenseDecoder | None:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dpc_ros.autoencoder.architecture import PluginArchitecture
-from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.base import Autoencoder, Derivatives
 from dpc_ros.autoencoder.kinds import load_plugin
 from dpc_ros.autoencoder.module import AutoencoderModule
 
@@ -113,11 +113,7 @@ class PluginAutoencoder(Autoencoder):
         self,
         latent: Float[np.ndarray, '*batch m'],
         latent_velocity: Float[np.ndarray, '*batch m'],
-    ) -> tuple[
-        Float[np.ndarray, '*batch n'],
-        Float[np.ndarray, '*batch n m'],
-        Float[np.ndarray, '*batch n'],
-    ]:
+    ) -> Derivatives:
         decoded, jacobian = self.decode_with_jacobian(latent)
         rows = _tensor(latent.reshape(-1, self.latent_size))
         tangents = _tensor(latent_velocity.reshape(-1, self.latent_size))

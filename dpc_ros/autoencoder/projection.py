@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from dpc_ros.autoencoder.base import Autoencoder
+from dpc_ros.autoencoder.base import Autoencoder, Derivatives
 from dpc_ros.autoencoder.compiled import DenseDecoder
 
 ENCODERS = ('network', 'projection')
@@ -109,11 +109,7 @@ class ProjectionAutoencoder(Autoencoder):
         self,
         latent: Float[np.ndarray, '*batch m'],
         latent_velocity: Float[np.ndarray, '*batch m'],
-    ) -> tuple[
-        Float[np.ndarray, '*batch n'],
-        Float[np.ndarray, '*batch n m'],
-        Float[np.ndarray, '*batch n'],
-    ]:
+    ) -> Derivatives:
         return self._autoencoder.decode_with_derivatives(latent, latent_velocity)
 
     def compiled_decoder(self) -> DenseDecoder | None:

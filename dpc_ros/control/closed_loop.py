@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder
-from dpc_ros.control.laws import ControlLaw
+from dpc_ros.control.law import NANOSECOND, ControlLaw
 from dpc_ros.network import Body
 from dpc_ros.threads import single_threaded_algebra
 
@@ -83,7 +83,7 @@ def run_closed_loop(
     rows: list[tuple[np.ndarray, ...]] = []
     latent: np.ndarray | None = None
     latent_velocity = answer = np.zeros(2)  # until the first state is measured
-    period = round(body.integrator.step * 1e9)  # ns, as the simulator's stamps
+    period = round(body.integrator.step / NANOSECOND)  # ns, as the simulator's stamps
     with single_threaded_algebra():
         for k in range(steps + 1):
             if k % loop.hold == 0:

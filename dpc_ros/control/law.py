@@ -15,7 +15,7 @@ from dpc_ros.control.saturation import shorten
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
-_NANOSECOND = 1e-9  # s
+NANOSECOND = 1e-9  # s
 _LONGEST_GAP = 0.5  # s
 
 
@@ -118,7 +118,7 @@ class ControlLaw(ABC):
         wanted = self.unbounded_force(latent, latent_velocity)
         force = shorten(wanted, self.settings.largest_force)
         self.saturated = force is not wanted
-        elapsed = 0 if self._last_stamp is None else (stamp - self._last_stamp) * _NANOSECOND
+        elapsed = 0 if self._last_stamp is None else (stamp - self._last_stamp) * NANOSECOND
         self._last_stamp = stamp
         self.advance(latent, elapsed if 0 < elapsed <= _LONGEST_GAP else 0.0)
         return force

@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.control.law import ControlLaw
+from dpc_ros.control.law import NANOSECOND, ControlLaw
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
 
-_NANOSECOND = 1e-9  # s
 _LONGEST_STEP = 0.01  # s, of a prediction
 _DIFFERENCE = 1e-5  # of a state, for the derivative of a prediction
 
@@ -80,7 +79,7 @@ class LatentObserver:
 
     def acted(self, stamp: int, force: Float[np.ndarray, ' 2']) -> None:
         """Note the force [N] that answers the measurement of a stamp [ns]."""
-        kept = stamp - round((self.settings.longest_gap + self.settings.delay) / _NANOSECOND)
+        kept = stamp - round((self.settings.longest_gap + self.settings.delay) / NANOSECOND)
         self._forces = [each for each in self._forces if each[0] >= kept]
         self._forces.append((stamp, force))
 
@@ -97,7 +96,7 @@ class LatentObserver:
         if not (np.isfinite(latent).all() and np.isfinite(velocity).all()):
             return latent, velocity  # there is nothing to learn from it
         noise = self._measurement_covariance(latent)
-        gap = math.inf if self._stamp is None else (stamp - self._stamp) * _NANOSECOND
+        gap = math.inf if self._stamp is None else (stamp - self._stamp) * NANOSECOND
         if self._state is None or not 0 <= gap <= self.settings.longest_gap:
             return self._begin(latent, velocity, stamp, noise)
         assert self._stamp is not None
@@ -125,7 +124,7 @@ class LatentObserver:
         """
         if self._state is None or self._stamp is None:
             raise ValueError('expected a measurement before a prediction')
-        then = self._stamp + round(self.settings.delay / _NANOSECOND)
+        then = self._stamp + round(self.settings.delay / NANOSECOND)
         try:
             return self._flow(self._state, self._stamp, then)
         except DivergenceError:
@@ -148,19 +147,19 @@ class LatentObserver:
         moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
         flown = np.hstack(self._flow((moved[:, :m], moved[:, m:]), begin, end))
         derivative = (flown[1:] - flown[0]).T / _DIFFERENCE
-        duration = (end - begin) * _NANOSECOND
+        duration = (end - begin) * NANOSECOND
         covariance = derivative @ covariance @ derivative.T
         covariance += self._process_covariance(state[0], duration)
         return (flown[0, :m], flown[0, m:]), covariance
 
     def _flow(self, state: State, begin: int, end: int) -> State:
         """Return one state, or several as rows, moved on from one time to another [ns]."""
-        delay = round(self.settings.delay / _NANOSECOND)
+        delay = round(self.settings.delay / NANOSECOND)
         changes = sorted({begin, end} | {stamp + delay for stamp, _ in self._forces})
         changes = [time for time in changes if begin <= time <= end]
         for first, last in pairwise(changes):
             acting = [force for stamp, force in self._forces if stamp + delay <= first]
-            duration = (last - first) * _NANOSECOND
+            duration = (last - first) * NANOSECOND
             steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
             run = simulate_compressed(
                 self.system, *state, duration / steps, steps, acting[-1] if acting else None

@@ -56,6 +56,26 @@ def workplace(tmp_path_factory, small_network):
     return Workplace(str(folder / 'grid.json'), folder / 'data', dataset)
 
 
+@pytest.fixture(scope='session')
+def assert_second_derivative():
+    """Assert that J̇ξ̇ is what the Hessians of weighted coordinates say, for any dimensions."""
+
+    def check(autoencoder):
+        draw = np.random.default_rng(3)
+        latents, velocities = draw.normal(size=(2, 2, 4, autoencoder.latent_size))
+        weight = draw.normal(size=autoencoder.configuration_size)
+        decoded, jacobian, second = autoencoder.decode_with_derivatives(latents, velocities)
+        expected = autoencoder.decode_with_jacobian(latents)
+        np.testing.assert_allclose(decoded, expected[0], atol=1e-12)
+        np.testing.assert_allclose(jacobian, expected[1], atol=1e-12)
+        for place in np.ndindex(2, 4):
+            curvature = autoencoder.decoder_curvature(latents[place], weight)
+            along = velocities[place] @ curvature @ velocities[place]
+            assert weight @ second[place] == pytest.approx(along, abs=1e-10)
+
+    return check
+
+
 @pytest.fixture
 def install_package(tmp_path, monkeypatch):
     """Return a function that installs a package of one module as pip would lay it down."""

@@ -267,17 +267,8 @@ def test_decoder_curvature(module, point, central_difference):
     assert np.abs(curvature).max() > 1e-6
 
 
-def test_second_derivative_along_a_velocity(module, point):
-    latents, velocities = np.random.default_rng(3).normal(size=(2, 2, 4, 3))
-    autoencoder, weight = module.export(), point[3]
-    decoded, jacobian, second = autoencoder.decode_with_derivatives(latents, velocities)
-    expected = autoencoder.decode_with_jacobian(latents)
-    np.testing.assert_allclose(decoded, expected[0], atol=1e-12)
-    np.testing.assert_allclose(jacobian, expected[1], atol=1e-12)
-    for place in np.ndindex(2, 4):
-        curvature = autoencoder.decoder_curvature(latents[place], weight)
-        along = velocities[place] @ curvature @ velocities[place]
-        assert weight @ second[place] == pytest.approx(along, abs=1e-10)
+def test_second_derivative_along_a_velocity(module, assert_second_derivative):
+    assert_second_derivative(module.export())
 
 
 def test_graphs_are_not_compiled(module):
