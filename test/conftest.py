@@ -1,6 +1,7 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
 import signal
+import sys
 from dataclasses import dataclass
 from functools import cache
 
@@ -218,3 +219,27 @@ def central_difference():
         return np.stack(columns, axis=-1)
 
     return differentiate
+
+
+@pytest.fixture
+def install_package(tmp_path, monkeypatch):
+    """Return a function that installs a package of one module as pip would lay it down."""
+    modules = []
+
+    def install(module, code, entry_points, group='dpc_ros.autoencoders'):
+        site = tmp_path / f'{module}_site'
+        information = site / f'{module}-1.0.dist-info'
+        information.mkdir(parents=True)
+        (site / f'{module}.py').write_text(code)
+        (information / 'METADATA').write_text(
+            f'Metadata-Version: 2.1\nName: {module}\nVersion: 1\n'
+        )
+        lines = [f'{name} = {value}\n' for name, value in entry_points.items()]
+        (information / 'entry_points.txt').write_text(f'[{group}]\n{"".join(lines)}')
+        monkeypatch.syspath_prepend(site)
+        modules.append(module)
+        return site
+
+    yield install
+    for module in modules:
+        sys.modules.pop(module, None)

@@ -2,7 +2,6 @@
 
 import configparser
 import re
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,30 +73,6 @@ def assert_second_derivative():
             assert weight @ second[place] == pytest.approx(along, abs=1e-10)
 
     return check
-
-
-@pytest.fixture
-def install_package(tmp_path, monkeypatch):
-    """Return a function that installs a package of one module as pip would lay it down."""
-    modules = []
-
-    def install(module, code, entry_points):
-        site = tmp_path / f'{module}_site'
-        information = site / f'{module}-1.0.dist-info'
-        information.mkdir(parents=True)
-        (site / f'{module}.py').write_text(code)
-        (information / 'METADATA').write_text(
-            f'Metadata-Version: 2.1\nName: {module}\nVersion: 1\n'
-        )
-        lines = [f'{name} = {value}\n' for name, value in entry_points.items()]
-        (information / 'entry_points.txt').write_text(f'[dpc_ros.autoencoders]\n{"".join(lines)}')
-        monkeypatch.syspath_prepend(site)
-        modules.append(module)
-        return site
-
-    yield install
-    for module in modules:
-        sys.modules.pop(module, None)
 
 
 @pytest.fixture(scope='session')

@@ -2,39 +2,18 @@
 
 import configparser
 import re
-import sys
 
 import numpy as np
 import pytest
 
 from dpc_ros.control import ControlLaw, LawSettings, Target, check_law, make_law
+from dpc_ros.control.registry import ENTRY_POINT_GROUP as GROUP
 from dpc_ros.control.registry import law_names
 from dpc_ros.resources import share_directory
 
 
 @pytest.fixture
-def install(tmp_path, monkeypatch):
-    """Return a function that installs a package of one module as pip would lay it down."""
-    modules = []
-
-    def lay_down(module, code, name, value):
-        information = tmp_path / f'{module}-1.0.dist-info'
-        information.mkdir()
-        (tmp_path / f'{module}.py').write_text(code)
-        (information / 'METADATA').write_text(
-            f'Metadata-Version: 2.1\nName: {module}\nVersion: 1\n'
-        )
-        (information / 'entry_points.txt').write_text(f'[dpc_ros.control_laws]\n{name} = {value}\n')
-        monkeypatch.syspath_prepend(tmp_path)
-        modules.append(module)
-
-    yield lay_down
-    for module in modules:
-        sys.modules.pop(module, None)
-
-
-@pytest.fixture
-def spring(install):
+def spring(install_package):
     """Install the law that the page on control shows."""
     page = (share_directory() / 'docs/control.md').read_text()
     *_, code = re.findall(r'```python\n(.*?)```', page, re.S)
@@ -42,7 +21,7 @@ def spring(install):
     parsed = configparser.ConfigParser()  # as far as TOML goes here
     parsed.read_string(project)
     ((name, value),) = parsed['project.entry-points."dpc_ros.control_laws"'].items()
-    install('my_law', code, name, value.strip('"'))
+    install_package('my_law', code, {name: value.strip('"')}, GROUP)
     return name
 
 
@@ -73,7 +52,7 @@ def test_the_law_of_the_page_pulls_the_mass_to_its_place(spring, small_system):
         ('def Law(system): return 3', "'mine': Law\\(\\) takes 1 positional argument"),
     ],
 )
-def test_what_is_no_law_is_refused(install, small_system, code, message):
-    install('mine_law', code, 'mine', 'mine_law:Law')
+def test_what_is_no_law_is_refused(install_package, small_system, code, message):
+    install_package('mine_law', code, {'mine': 'mine_law:Law'}, GROUP)
     with pytest.raises(ValueError, match=message):
         make_law('mine', small_system(3))
