@@ -31,12 +31,14 @@ class LawSettings:
         force_weight: R of the linear-quadratic regulator, mean square of q per square of u [m²/N²].
         velocity_weight: of its mean square of q̇ beside that of q [s²].
         collocated_damping: of the actuated mass against its velocity [N·s/m].
+        equilibrium_starts: searches for the best static equilibrium, at least 2; more find it
+            more often and take longer.
         integral_gain: rate at which the constant part of the force follows the error [1/s].
         integral_delay: time after a new target before it begins to [s].
         options: whatever a law of another package takes beside these.
 
     Raises:
-        ValueError: a number is negative or none, or one but the bound is infinite.
+        ValueError: a number is out of its range or none, or one but the bound is infinite.
     """
 
     largest_force: float = math.inf
@@ -46,6 +48,7 @@ class LawSettings:
     force_weight: float = 0.03
     velocity_weight: float = 0.0
     collocated_damping: float = 1.0
+    equilibrium_starts: int = 2
     integral_gain: float = 0.0
     integral_delay: float = 1.0
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -60,6 +63,10 @@ class LawSettings:
                 raise ValueError(f'{name}: expected a number ≥ 0, got {value}')
             if each.name != 'largest_force' and not math.isfinite(value):
                 raise ValueError(f'{name}: expected a finite number, got {value}')
+        if self.equilibrium_starts < 2:
+            raise ValueError(
+                f'equilibrium starts: expected at least 2, got {self.equilibrium_starts}'
+            )
         if not self.force_weight > 0:
             raise ValueError(f'force weight: expected a number > 0, got {self.force_weight}')
 
