@@ -1,5 +1,8 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
+import configparser
+import os
+import re
 import signal
 import sys
 from dataclasses import dataclass
@@ -25,6 +28,7 @@ SHAPE_CHECKED = (
 install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
 
 from dpc_ros.autoencoder import load_checkpoint  # noqa: E402
+from dpc_ros.control.registry import ENTRY_POINT_GROUP as LAWS_GROUP  # noqa: E402
 from dpc_ros.data import simulate_conditions, thin  # noqa: E402
 from dpc_ros.data.conditions import training_conditions  # noqa: E402
 from dpc_ros.network import (  # noqa: E402
@@ -34,6 +38,7 @@ from dpc_ros.network import (  # noqa: E402
     load_network,
 )
 from dpc_ros.reduction import CompressedSystem  # noqa: E402
+from dpc_ros.resources import share_directory  # noqa: E402
 
 # A shell ignores SIGINT for what it starts in the background, and so would the tests' processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -243,3 +248,18 @@ def install_package(tmp_path, monkeypatch):
     yield install
     for module in modules:
         sys.modules.pop(module, None)
+
+
+@pytest.fixture
+def spring(install_package, monkeypatch):
+    """Install the law that the page on control shows, for child processes too; return its name."""
+    page = (share_directory() / 'docs/control.md').read_text()
+    *_, code = re.findall(r'```python\n(.*?)```', page, re.S)
+    (project,) = re.findall(r'```toml\n(.*?)```', page, re.S)
+    parsed = configparser.ConfigParser()  # as far as TOML goes here
+    parsed.read_string(project)
+    ((name, value),) = parsed['project.entry-points."dpc_ros.control_laws"'].items()
+    site = install_package('my_law', code, {name: value.strip('"')}, LAWS_GROUP)
+    paths = [str(site), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    return name

@@ -50,7 +50,7 @@ class LawSettings:
     collocated_damping: float = 1.0
     equilibrium_starts: int = 2
     integral_gain: float = 0.0
-    integral_delay: float = 1.0
+    integral_delay: float = 3.0
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

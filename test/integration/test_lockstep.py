@@ -3,6 +3,7 @@
 import csv
 import itertools
 
+import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
@@ -46,18 +47,23 @@ def test_every_kind_of_encoder_gives_the_same(
     assert_repeats(tmp_path / 'run' / 'bag', in_process(checkpoint, encoder, steps=50))
 
 
-def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process):
-    """The first of the 50 of `dpc paper control`, with integral action beside."""
+@pytest.mark.parametrize(
+    'number', [1, *(pytest.param(number, marks=pytest.mark.long) for number in (2, 3, 4, 5))]
+)
+def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process, number):
+    """One of the 50 of `dpc paper control`, with integral action beside."""
     with config_path('control', 'paper_targets.csv').open(newline='') as file:
-        row = next(csv.DictReader(file))
+        row = list(csv.DictReader(file))[number - 1]
+    assert row['run'] == str(number)
     mass, target = row['actuated_mass'], row['target']
     code, output = domain.run(
         'launcher',
         *('--output', str(tmp_path / 'run'), '--mass', mass, '--target', target),
         *('--law', 'lqr', '--set', 'controller.integral_gain=0.5'),
+        *('--set', 'controller.integral_delay=1.0'),
     )
     assert code == 0, output
-    expected = in_process(mass=int(mass), target=target, integral_gain=0.5)
+    expected = in_process(mass=int(mass), target=target, integral_gain=0.5, integral_delay=1.0)
     assert_repeats(tmp_path / 'run' / 'bag', expected)
 
 
@@ -67,6 +73,18 @@ def test_every_law_gives_the_same(domain, tmp_path, assert_repeats, in_process, 
     code, output = domain.run('launcher', *output_folder, '--law', law)
     assert code == 0, output
     assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, law_name=law))
+
+
+def test_a_law_of_another_package_gives_the_same(
+    domain, tmp_path, assert_repeats, in_process, spring
+):
+    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--law', spring]
+    arguments += ['--set', 'controller.law_options={stiffness: 5.0}']
+    code, output = domain.run('launcher', *arguments)
+    assert code == 0, output
+    expected = in_process(steps=50, law_name=spring, options={'stiffness': 5.0})
+    run = assert_repeats(tmp_path / 'run' / 'bag', expected)
+    assert np.abs(run.force).max() > 0
 
 
 def test_an_observed_law_gives_the_same(domain, tmp_path, assert_repeats, in_process):
