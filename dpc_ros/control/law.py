@@ -45,9 +45,9 @@ class LawSettings:
     proportional_gain: float = 2.0
     derivative_gain: float = 1.0
     inverse_damping: float = 0.05
-    force_weight: float = 0.03
-    velocity_weight: float = 0.0
-    collocated_damping: float = 1.0
+    force_weight: float = 0.001
+    velocity_weight: float = 0.03
+    collocated_damping: float = 0.3
     equilibrium_starts: int = 2
     integral_gain: float = 0.0
     integral_delay: float = 3.0

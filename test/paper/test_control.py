@@ -1,6 +1,5 @@
 """The control experiment runs what its files say and counts what came of it."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +11,7 @@ from dpc_ros.network import load_network
 from dpc_ros.paper import control, control_rows, control_tuning, regulation
 from dpc_ros.paper.regulation import LIMIT
 from dpc_ros.resources import share_directory
+from dpc_ros.results import read_results
 
 RESULTS = share_directory() / 'docs' / 'results'
 
@@ -148,6 +148,11 @@ def test_the_best_regulator_is_the_quickest_that_bears_the_hardest_loop():
     assert control_tuning.best_regulator(rows).force_weight == 2.0
 
 
+def test_the_defaults_are_the_gains_that_the_tuning_chose():
+    rows = read_results(RESULTS / 'control_tuning.json')
+    assert control_tuning.best_regulator(rows) == LIMIT
+
+
 def test_tuning_reads_other_targets_only(monkeypatch):
     read = []
 
@@ -166,7 +171,7 @@ def test_tuning_reads_other_targets_only(monkeypatch):
 
 def test_results_hold_every_run_and_the_figure_follows(tmp_path):
     rows = {
-        name: json.loads((RESULTS / f'{name}.json').read_text())['rows']
+        name: read_results(RESULTS / f'{name}.json')
         for name in ('control', 'control_runs', 'control_time')
     }
     laws = [row for row in rows['control'] if row['experiment'] == 'paper_targets']
