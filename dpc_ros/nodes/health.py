@@ -37,6 +37,7 @@ class Health:
         self.rejected: Counter[str] = Counter()
         self.lost = 0
         self.warning = ''
+        self.readings: dict[str, str] = {}  # what else a node measures, by name and unit
         self._processing: list[float] = []
         self._reported = (time.monotonic(), 0)
 
@@ -59,6 +60,7 @@ class Health:
             'repeated': self.repeated,
             'lost': self.lost,
             'saturated': self.saturated,
+            **self.readings,
             **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
         }
         if self._processing:

@@ -22,8 +22,8 @@ from dpc_ros.control import (
     ConstantForce,
     EquilibriumError,
     Imperfections,
+    LatentObserver,
     LawSettings,
-    ObservedLaw,
     ObserverSettings,
     Target,
     load_target,
@@ -153,8 +153,6 @@ def regulate(
         CompressedSystem(Mechanics(network, gravity), autoencoder, task.mass),
         settings,
     )
-    if observer is not None:
-        law = ObservedLaw(law, observer)
     steps = round(duration / step)
     try:
         law.regulate(Target(configuration=task.target))
@@ -176,6 +174,7 @@ def regulate(
             steps,
             lambda step: shortened.append(law.saturated),
             imperfections,
+            LatentObserver(law.system, observer) if observer is not None else None,
         )
         errors = np.mean((run.configuration - task.target) ** 2, axis=1)
         nmse = np.nan_to_num(errors / errors[0], nan=np.inf)
