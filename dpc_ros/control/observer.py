@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from itertools import pairwise
 
@@ -13,9 +14,9 @@ from dpc_ros.control.law import LONGEST_GAP, NANOSECOND
 from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
 
 _LONGEST_STEP = 0.01  # s, of a prediction
-_DIFFERENCE = 1e-5  # of a state, for the derivative of a prediction
+_DIFFERENCE = 1e-5  # of a state, for the derivative of the dynamics
 
-State = tuple[Float[np.ndarray, '*rows m'], Float[np.ndarray, '*rows m']]
+State = tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,8 @@ class ObserverSettings:
 class LatentObserver:
     """Estimates (ξ, ξ̇) from measured ones, their times and the forces that acted between.
 
-    The prediction integrates the compressed system, its covariance is carried by the derivative of
-    that flow; the measurement is the state itself, with the noise of the coordinates as it comes
+    The prediction integrates the compressed system, its covariance is carried by the linearised
+    flow; the measurement is the state itself, with the noise of the coordinates as it comes
     through the decoder's left inverse, σ²(JᵀJ)⁻¹. (Anderson and Moore, Optimal Filtering, section
     8.2.)
 
@@ -177,17 +178,21 @@ class LatentObserver:
         self, state: State, covariance: np.ndarray, begin: int, end: int
     ) -> tuple[State, np.ndarray]:
         m = self.system.latent_size
-        point = np.concatenate(state)
-        moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
-        flown = np.hstack(self._flow((moved[:, :m], moved[:, m:]), begin, end))
-        derivative = (flown[1:] - flown[0]).T / _DIFFERENCE
-        duration = (end - begin) * NANOSECOND
-        covariance = derivative @ covariance @ derivative.T
-        covariance += self._process_covariance(state[0], duration)
-        return (flown[0, :m], flown[0, m:]), covariance
+        start, transition = state, np.eye(2 * m)
+        for duration, force in self._pieces(begin, end):
+            transition = self._transition(state, duration, force) @ transition
+            state = self._advance(state, duration, force)
+        covariance = transition @ covariance @ transition.T
+        return state, covariance + self._process_covariance(start[0], (end - begin) * NANOSECOND)
 
     def _flow(self, state: State, begin: int, end: int) -> State:
-        """Return one state, or several as rows, moved on from one time to another [ns]."""
+        """Return a state moved on from one time to another [ns]."""
+        for duration, force in self._pieces(begin, end):
+            state = self._advance(state, duration, force)
+        return state
+
+    def _pieces(self, begin: int, end: int) -> Iterator[tuple[float, np.ndarray]]:
+        """Yield durations [s], each a step of the prediction, and the force [N] acting in each."""
         delay = round(self.delay / NANOSECOND)
         changes = sorted({begin, end} | {stamp + delay for stamp, _ in self._forces})
         changes = [time for time in changes if begin <= time <= end]
@@ -195,11 +200,25 @@ class LatentObserver:
             acting = [force for stamp, force in self._forces if stamp + delay <= first]
             duration = (last - first) * NANOSECOND
             steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-            run = simulate_compressed(
-                self.system, *state, duration / steps, steps, acting[-1] if acting else None
-            )
-            state = (run.latent[-1], run.velocity[-1])
-        return state
+            for _ in range(steps):
+                yield duration / steps, acting[-1] if acting else np.zeros(2)
+
+    def _advance(self, state: State, duration: float, force: np.ndarray) -> State:
+        run = simulate_compressed(self.system, *state, duration, 1, force)
+        return run.latent[-1], run.velocity[-1]
+
+    def _transition(
+        self, state: State, duration: float, force: np.ndarray
+    ) -> Float[np.ndarray, '2*m 2*m']:
+        """Return the derivative of the flow over a step, exp(Ah) to second order."""
+        m = self.system.latent_size
+        point = np.concatenate(state)
+        moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
+        with np.errstate(all='ignore'):  # what is not finite begins anew
+            acceleration = self.system.acceleration(moved[:, :m], moved[:, m:], force)
+            below = (acceleration[1:] - acceleration[0]).T / _DIFFERENCE
+        step = duration * np.vstack([np.eye(2 * m)[m:], below])
+        return np.eye(2 * m) + step + step @ step / 2
 
     def _measurement_covariance(self, latent: np.ndarray) -> np.ndarray:
         inverse = self._inverse_spread(latent)

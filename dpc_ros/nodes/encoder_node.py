@@ -61,8 +61,10 @@ class EncoderNode(LoopNode):
         self._begin_anew()
         self._warm_up(network.rest_configuration)
         self._latent_state = self.create_output('latent_state')
-        self.create_input('configuration', self._take_configuration)
-        if self._observer is not None:
+        # An observer that has no time for a state bridges it, rather than be late for all others.
+        observes = self._observer is not None
+        self.create_input('configuration', self._take_configuration, newest_only=observes)
+        if observes:
             self.create_input('control_force', self._take_force)
 
     def activate(self) -> None:

@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -131,11 +132,27 @@ class LoopNode(LifecycleNode):
         self._outputs.append(publisher)
         return publisher
 
-    def create_input(self, topic: str, callback: Callable[..., None], raw: bool = False) -> None:
-        """Subscribe to a topic of the loop; a callback may take the message's info as well."""
+    def create_input(
+        self,
+        topic: str,
+        callback: Callable[..., None],
+        raw: bool = False,
+        newest_only: bool = False,
+    ) -> None:
+        """Subscribe to a topic of the loop.
+
+        Args:
+            topic: its name.
+            callback: takes the message, and its info where it has a second argument.
+            raw: whether it takes the bytes.
+            newest_only: leave out all but the newest of what has come while the node was busy.
+        """
         entry = TOPICS[topic]
+        qos = copy(entry.qos)
+        if newest_only:
+            qos.depth = 1
         self._inputs.append(
-            self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
+            self.create_subscription(entry.message_type, topic, callback, qos, raw=raw)
         )
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
