@@ -4,12 +4,18 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
     """Give the parser of `dpc bag` its commands."""
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
+
+    command = commands.add_parser('repair', help=repair.__doc__, description=repair.__doc__)
+    command.set_defaults(command=repair)
+    command.add_argument('bag', help='folder or MCAP file of the log, left as it is')
+    command.add_argument('output', help='folder (or .mcap file for a file) to write; must be new')
 
     command = commands.add_parser('converge', help=converge.__doc__, description=converge.__doc__)
     command.set_defaults(command=converge)
@@ -19,6 +25,27 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     command.add_argument('--namespace', help='of the topics, where the log has several')
     command.add_argument('--results', help='JSON to write the table to, as in docs/results')
     command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
+
+
+def repair(options: argparse.Namespace) -> int | None:
+    """Write all that can be read of a log that was cut off or damaged into a new one."""
+    from dpc_ros.bag.repair import NothingReadableError
+    from dpc_ros.bag.repair import repair as mend
+
+    try:
+        files = mend(options.bag, options.output, progress=True)
+    except NothingReadableError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return 1
+    for file in files:
+        kept = f'{file.messages} messages in {file.chunks} chunks' if file.is_kept else 'left out'
+        print(f'{file.name}: {kept}, {file.size} bytes read' + ('' if file.losses else ', whole'))
+        for loss in file.losses:
+            print(f'  lost      {loss}')
+    if not any(file.losses for file in files):
+        print(f'nothing was wrong with {options.bag}: the new one is a copy')
+    print(f'bag         {options.output}, read back and found whole')
+    return None
 
 
 def converge(options: argparse.Namespace) -> None:

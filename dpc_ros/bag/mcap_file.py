@@ -23,7 +23,7 @@ from dpc_ros.bag.metadata import RECORD_NAME
 from dpc_ros.bag.splits import BagError, find_files
 
 # What the readers raise on a damaged file; a wrong check sum is a ValueError.
-_DAMAGE = (
+DAMAGE = (
     McapError,
     ValueError,
     LookupError,
@@ -199,7 +199,7 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             content = decode(record.data)
         except BagError:
             raise
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise BagError(
                 f'{file}: a message of {channel.topic} at log time {record.log_time} ns is no '
                 f'{type_name}: {reason(error)}'
@@ -270,7 +270,7 @@ def _reader(file: Path) -> Iterator[McapReader]:
             yield make_reader(stream, validate_crcs=True)
         except BagError:
             raise
-        except (*_DAMAGE, OSError) as error:
+        except (*DAMAGE, OSError) as error:
             raise BagError(
                 f'{file}: expected a complete MCAP file, but it is cut off or damaged '
                 f'({reason(error)}): `dpc bag repair` saves what can be read of it'

@@ -18,6 +18,10 @@ FORMAT_VERSION = 9
 PARAMETERS_RECORD = 'dpc_ros.parameters'  # of the record that keeps the nodes' parameter file
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content
 
+_KEY = 'rosbag2_bagfile_information'
+# libyaml writes fast, but its reader dies of deeply nested text: never the loader to these.
+_DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+
 
 @dataclass(frozen=True)
 class FileSpan:
@@ -91,7 +95,25 @@ def topic_content(
 
 def bag_text(content: dict[str, Any]) -> str:
     """Return the content of a bag as the YAML that stands in the MCAP file itself."""
-    return yaml.safe_dump(content, sort_keys=False)
+    return yaml.dump(content, Dumper=_DUMPER, sort_keys=False)
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return the content of `metadata.yaml`.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is not that of a bag.
+    """
+    try:
+        document = yaml.safe_load((folder / FILE_NAME).read_text())
+    # A cut off or overwritten file is no YAML, or one of another shape.
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError('no YAML') from error
+    content = document.get(_KEY) if isinstance(document, dict) else None
+    if not isinstance(content, dict):
+        raise ValueError(f'no {_KEY}')
+    return content
 
 
 def file_names(folder: Path) -> list[str]:
@@ -101,13 +123,7 @@ def file_names(folder: Path) -> list[str]:
         OSError: there is no such file.
         ValueError: it is not that of a bag.
     """
-    try:
-        content = yaml.safe_load((folder / FILE_NAME).read_text())
-    # A cut off or overwritten file is no YAML, or one of another shape.
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError('no YAML') from error
-    information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
-    names = information.get('relative_file_paths') if isinstance(information, dict) else None
+    names = read_metadata(folder).get('relative_file_paths')
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise ValueError('no list of relative_file_paths')
     return names
@@ -115,7 +131,7 @@ def file_names(folder: Path) -> list[str]:
 
 def write_metadata(folder: Path, content: dict[str, Any]) -> None:
     """Write `metadata.yaml` whole or not at all."""
-    text = yaml.safe_dump({'rosbag2_bagfile_information': content}, sort_keys=False)
+    text = bag_text({_KEY: content})
     with replacing(folder / FILE_NAME) as partial, partial.open('w') as stream:
         stream.write(text)
         stream.flush()

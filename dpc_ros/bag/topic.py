@@ -121,6 +121,29 @@ def qos_text(profiles: tuple[QosProfile, ...]) -> str:
     return yaml.safe_dump([qos_content(profile) for profile in profiles], sort_keys=False).strip()
 
 
+def qos_profiles(text: str) -> tuple[QosProfile, ...]:
+    """Return the profiles that `qos_text` has written.
+
+    Raises:
+        ValueError: the text is none of rosbag2's since format version 9.
+    """
+    try:
+        return tuple(_profile(content) for content in yaml.safe_load(text) or ())
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError) as error:
+        raise ValueError(
+            f'expected offered profiles as rosbag2 writes them, got {text!r}'
+        ) from error
+
+
+def _profile(content: dict[str, Any]) -> QosProfile:
+    durations = {
+        f'{key}_ns': content[key]['sec'] * NANOSECONDS + content[key]['nsec']
+        for key in ('deadline', 'lifespan', 'liveliness_lease_duration')
+    }
+    words = {key: content[key] for key in (*_POLICIES, 'depth', 'avoid_ros_namespace_conventions')}
+    return QosProfile(**words, **durations)
+
+
 def _duration(nanoseconds: int) -> dict[str, int]:
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return {'sec': seconds, 'nsec': rest}
