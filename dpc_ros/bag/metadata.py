@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,33 +16,57 @@ from dpc_ros.files import replacing
 
 FILE_NAME = 'metadata.yaml'
 FORMAT_VERSION = 9
-PARAMETERS_RECORD = 'dpc_ros.parameters'  # of the record that keeps the nodes' parameter file
+# Records of keys and values that a log may hold.
+PARAMETERS_RECORD = 'dpc_ros.parameters'  # the parameter file of the run, under `yaml`
+NODE_PARAMETERS_RECORD = 'dpc_ros.node_parameters'  # what each node answered, by its name
+MODELS_RECORD = 'dpc_ros.models'  # network and checkpoint with digests, by topic
+VERSIONS_RECORD = 'dpc_ros.versions'
+COMMAND_RECORD = 'dpc_ros.command'  # the command lines behind the log
+LOSSES_RECORD = 'dpc_ros.losses'  # messages lost up to the end of the file, by topic
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content
 
 
-def bag_content(
-    file_name: str,
-    counts: Mapping[Topic, int],
-    starting_time_ns: int,
-    duration_ns: int,
-    ros_distro: str,
-) -> dict[str, Any]:
-    """Return what rosbag2 wants to know of a bag of one MCAP file.
+@dataclass(frozen=True)
+class BagFile:
+    """What a bag says of one of its MCAP files.
+
+    Attributes:
+        name: of the file, relative to the bag's folder.
+        counts: messages of each topic.
+        starting_time_ns: log time of the first message [ns since the epoch]; 0 without one.
+        duration_ns: from the first to the last message [ns].
+    """
+
+    name: str
+    counts: Mapping[Topic, int]
+    starting_time_ns: int
+    duration_ns: int
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages of all topics."""
+        return sum(self.counts.values())
+
+
+def bag_content(files: Sequence[BagFile], ros_distro: str) -> dict[str, Any]:
+    """Return what rosbag2 wants to know of a bag.
 
     Args:
-        file_name: of the MCAP file, relative to the bag's folder.
-        counts: messages of each topic.
-        starting_time_ns: log time of the first message [ns since the epoch].
-        duration_ns: from the first to the last message [ns].
+        files: of the bag, in the order in which they were written.
         ros_distro: name of the ROS distribution that recorded it.
     """
-    message_count = sum(counts.values())
+    counts: Counter[Topic] = Counter()
+    for file in files:
+        counts.update(file.counts)
+    filled = [file for file in files if file.message_count]
+    start = min((file.starting_time_ns for file in filled), default=0)
+    end = max((file.starting_time_ns + file.duration_ns for file in filled), default=0)
     return {
         'version': FORMAT_VERSION,
         'storage_identifier': 'mcap',
-        'duration': {'nanoseconds': duration_ns},
-        'starting_time': {'nanoseconds_since_epoch': starting_time_ns},
-        'message_count': message_count,
+        'duration': {'nanoseconds': end - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': sum(counts.values()),
         'topics_with_message_count': [
             {'topic_metadata': _topic_content(topic), 'message_count': count}
             for topic, count in counts.items()
@@ -48,14 +74,15 @@ def bag_content(
         # MCAP compresses its chunks itself: to rosbag2 such a bag is not compressed.
         'compression_format': '',
         'compression_mode': '',
-        'relative_file_paths': [file_name],
+        'relative_file_paths': [file.name for file in files],
         'files': [
             {
-                'path': file_name,
-                'starting_time': {'nanoseconds_since_epoch': starting_time_ns},
-                'duration': {'nanoseconds': duration_ns},
-                'message_count': message_count,
+                'path': file.name,
+                'starting_time': {'nanoseconds_since_epoch': file.starting_time_ns},
+                'duration': {'nanoseconds': file.duration_ns},
+                'message_count': file.message_count,
             }
+            for file in files
         ],
         'custom_data': None,
         'ros_distro': ros_distro,
