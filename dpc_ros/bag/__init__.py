@@ -11,14 +11,26 @@ from dpc_ros.bag.mcap_file import (
     read_messages,
     read_raw,
 )
-from dpc_ros.bag.metadata import PARAMETERS_RECORD
+from dpc_ros.bag.metadata import (
+    COMMAND_RECORD,
+    LOSSES_RECORD,
+    MODELS_RECORD,
+    NODE_PARAMETERS_RECORD,
+    PARAMETERS_RECORD,
+    VERSIONS_RECORD,
+)
 from dpc_ros.bag.reader import Run, Target, read_run
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
 __all__ = [
+    'COMMAND_RECORD',
+    'LOSSES_RECORD',
+    'MODELS_RECORD',
+    'NODE_PARAMETERS_RECORD',
     'PARAMETERS_RECORD',
+    'VERSIONS_RECORD',
     'BagError',
     'BagWriter',
     'Contents',

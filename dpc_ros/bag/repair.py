@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
+from mcap.records import Channel
 from mcap.writer import CompressionType, Writer
 from tqdm import tqdm
 
@@ -19,17 +20,16 @@ from dpc_ros import __version__
 from dpc_ros.bag.mcap_file import Contents, read_contents, read_raw
 from dpc_ros.bag.metadata import (
     RECORD_NAME,
-    FileSpan,
+    BagFile,
     bag_content,
     bag_text,
     file_names,
     read_metadata,
-    topic_content,
     write_metadata,
 )
 from dpc_ros.bag.salvage import PATIENCE, Salvage, salvage
 from dpc_ros.bag.splits import BagError, find_splits
-from dpc_ros.bag.topic import qos_profiles
+from dpc_ros.bag.topic import QosProfile, Topic, qos_profiles
 from dpc_ros.bag.writer import DEFAULT_CHUNK_SIZE
 from dpc_ros.files import replacing
 
@@ -172,11 +172,11 @@ def _new_folder(target: Path) -> Iterator[Path]:
 
 
 def _write_folder(found: Sequence[Salvage], folder: Path, distro: str, progress: bool) -> None:
-    spans = [_write_file(each, folder / each.path.name, distro, progress) for each in found]
-    write_metadata(folder, bag_content(spans, _topics(found), distro))
+    files = [_write_file(each, folder / each.path.name, distro, progress) for each in found]
+    write_metadata(folder, bag_content(files, distro))
 
 
-def _write_file(found: Salvage, path: Path, distro: str, progress: bool) -> FileSpan:
+def _write_file(found: Salvage, path: Path, distro: str, progress: bool) -> BagFile:
     """Write the file of a salvage, read it back, and return what `metadata.yaml` says of it."""
     if found.losses:
         with path.open('xb') as stream:
@@ -192,8 +192,8 @@ def _write_file(found: Salvage, path: Path, distro: str, progress: bool) -> File
     else:
         shutil.copyfile(found.path, path)
     contents = _read_back(path, found)
-    count = sum(contents.messages.values())
-    return FileSpan(found.path.name, count, contents.start_ns, contents.end_ns)
+    duration = contents.end_ns - contents.start_ns
+    return BagFile(found.path.name, _topic_counts(found), contents.start_ns, duration)
 
 
 def _rewrite(found: Salvage, stream: BinaryIO, distro: str, progress: bool) -> None:
@@ -240,8 +240,8 @@ def _rewrite(found: Salvage, stream: BinaryIO, distro: str, progress: bool) -> N
         start, end = min(start, message.log_time), max(end, message.log_time)
     for attachment in found.read_attachments():
         writer.add_attachment(**vars(attachment))
-    span = FileSpan(name, total, start if total else 0, end)
-    content = bag_content([span], _topics([found]), distro)
+    start = start if total else 0
+    content = bag_content([BagFile(name, _topic_counts(found), start, end - start)], distro)
     writer.add_metadata(RECORD_NAME, {'serialized_metadata': bag_text(content)})
     writer.finish()
 
@@ -274,21 +274,25 @@ def _counts(found: Salvage) -> dict[str, int]:
     return dict(counts)
 
 
-def _topics(found: Sequence[Salvage]) -> list[tuple[dict[str, Any], int]]:
-    topics: dict[str, dict[str, Any]] = {}
-    counts: Counter[str] = Counter()
-    for each in found:
-        counts.update(_counts(each))
-        for channel in each.channels.values():
-            schema = each.schemas.get(channel.schema_id)
-            try:
-                profiles = qos_profiles(channel.metadata.get('offered_qos_profiles', ''))
-            except ValueError:  # of an older rosbag2, which wrote numbers
-                profiles = ()
-            topics[channel.topic] = topic_content(
-                channel.topic,
-                schema.name if schema else '',
-                profiles,
-                channel.metadata.get('topic_type_hash', ''),
+def _topic_counts(found: Salvage) -> dict[Topic, int]:
+    """Return the number of messages of each topic; what is none of ROS stands in the file alone."""
+    counts = _counts(found)
+    topics: dict[str, Topic] = {}
+    for channel in found.channels.values():
+        schema = found.schemas.get(channel.schema_id)
+        with suppress(ValueError):
+            topics[channel.topic] = Topic(
+                name=channel.topic,
+                type_name=schema.name if schema else '',
+                definition=schema.data.decode(errors='replace') if schema else '',
+                offered_qos_profiles=_profiles(channel),
+                type_hash=channel.metadata.get('topic_type_hash', ''),
             )
-    return [(content, counts[name]) for name, content in topics.items()]
+    return {topic: counts.get(name, 0) for name, topic in topics.items()}
+
+
+def _profiles(channel: Channel) -> tuple[QosProfile, ...]:
+    try:
+        return qos_profiles(channel.metadata.get('offered_qos_profiles', ''))
+    except ValueError:  # of an older rosbag2, which wrote numbers
+        return ()

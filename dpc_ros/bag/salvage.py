@@ -158,6 +158,8 @@ def _walk(data: _Bytes, found: Salvage, bar: tqdm) -> None:
     while place < len(data):
         bar.update(place - bar.n)
         sound = _sound_record(data, place)
+        if not isinstance(sound, str) and _is_misplaced(sound[-1], found):
+            sound = 'a damaged record'
         if isinstance(sound, str):
             following = _next_landmark(data, place + 1)
             found.losses.append(f'bytes {place} to {following}: {sound}')
@@ -170,6 +172,13 @@ def _walk(data: _Bytes, found: Salvage, bar: tqdm) -> None:
         _keep(record, place, end, found)
         place = end
     found.losses.append('it was not finished: what the recorder still held is lost')
+
+
+def _is_misplaced(record: _Content, found: Salvage) -> bool:
+    """Return whether a record can't stand there: a message has no check sum outside of a chunk."""
+    if not isinstance(record, Message):
+        return False
+    return found.chunks > 0 or record.channel_id not in found.channels
 
 
 def _keep(record: _Content, start: int, end: int, found: Salvage) -> None:
