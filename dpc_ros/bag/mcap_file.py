@@ -21,6 +21,7 @@ from zstandard import ZstdError
 from dpc_ros.bag.check_sums import MAGIC, verify
 from dpc_ros.bag.metadata import RECORD_NAME
 from dpc_ros.bag.splits import BagError, find_files
+from dpc_ros.bag.topic import offered_profiles
 
 # What the readers raise on a damaged file; a wrong check sum is a ValueError.
 DAMAGE = (
@@ -60,6 +61,8 @@ class Contents:
     Attributes:
         files: the MCAP files, in the order of the recording.
         types: type of each topic, `sensor_msgs/msg/JointState`.
+        definitions: text of the message definition of each topic, empty where it is not there.
+        publishers: number of publishers whose offers each topic names, 0 where it does not say.
         messages: number of messages of each topic.
         metadata: metadata records by name, without rosbag2's own; of two of one name the later
             one overwrites single keys of the earlier.
@@ -70,6 +73,8 @@ class Contents:
 
     files: tuple[Path, ...]
     types: dict[str, str]
+    definitions: dict[str, str]
+    publishers: dict[str, int]
     messages: dict[str, int]
     metadata: dict[str, dict[str, str]]
     attachments: tuple[Attachment, ...]
@@ -130,6 +135,8 @@ def read_contents(path: str | Path) -> Contents:
     """
     files = find_files(path)
     types: dict[str, str] = {}
+    definitions: dict[str, str] = {}
+    publishers: dict[str, int] = {}
     messages: dict[str, int] = {}
     metadata: dict[str, dict[str, str]] = {}
     attachments: list[Attachment] = []
@@ -144,6 +151,9 @@ def read_contents(path: str | Path) -> Contents:
                 messages[channel.topic] = messages.get(channel.topic, 0) + count
                 schema = summary.schemas.get(channel.schema_id)
                 types[channel.topic] = schema.name if schema else ''
+                definitions[channel.topic] = schema.data.decode(errors='replace') if schema else ''
+                offers = len(offered_profiles(channel.metadata))
+                publishers[channel.topic] = max(publishers.get(channel.topic, 0), offers)
             for record in reader.iter_metadata():
                 if record.name != RECORD_NAME:
                     metadata.setdefault(record.name, {}).update(record.metadata)
@@ -154,6 +164,8 @@ def read_contents(path: str | Path) -> Contents:
     return Contents(
         files,
         types,
+        definitions,
+        publishers,
         messages,
         metadata,
         tuple(attachments),

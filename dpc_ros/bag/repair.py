@@ -6,13 +6,12 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel
 from mcap.writer import CompressionType, Writer
 from tqdm import tqdm
 
@@ -29,9 +28,9 @@ from dpc_ros.bag.metadata import (
 )
 from dpc_ros.bag.salvage import PATIENCE, Salvage, salvage
 from dpc_ros.bag.splits import BagError, find_splits
-from dpc_ros.bag.topic import QosProfile, Topic, qos_profiles
+from dpc_ros.bag.topic import Topic, offered_profiles
 from dpc_ros.bag.writer import DEFAULT_CHUNK_SIZE
-from dpc_ros.files import replacing
+from dpc_ros.files import new_folder, replacing
 
 _SUFFIX = '.mcap'
 _DISTRO = re.compile(r'^ros_distro: (\w+)$', re.MULTILINE)
@@ -107,7 +106,7 @@ def repair(
         with replacing(target) as partial:
             _write_file(usable[0], partial, distro, progress)
     else:
-        with _new_folder(target) as folder:
+        with new_folder(target) as folder:
             _write_folder(usable, folder, distro, progress)
     return (
         *(
@@ -156,19 +155,6 @@ def _ros_distro(source: Path, found: Sequence[Salvage]) -> str:
             if record.name == RECORD_NAME and (match := _DISTRO.search(text)):
                 return match.group(1)
     return ''
-
-
-@contextmanager
-def _new_folder(target: Path) -> Iterator[Path]:
-    """Give a folder beside a path, which takes its place once all has been written."""
-    partial = target.parent / f'{target.name}.partial'
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        partial.rename(target)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def _write_folder(found: Sequence[Salvage], folder: Path, distro: str, progress: bool) -> None:
@@ -285,14 +271,7 @@ def _topic_counts(found: Salvage) -> dict[Topic, int]:
                 name=channel.topic,
                 type_name=schema.name if schema else '',
                 definition=schema.data.decode(errors='replace') if schema else '',
-                offered_qos_profiles=_profiles(channel),
+                offered_qos_profiles=offered_profiles(channel.metadata),
                 type_hash=channel.metadata.get('topic_type_hash', ''),
             )
     return {topic: counts.get(name, 0) for name, topic in topics.items()}
-
-
-def _profiles(channel: Channel) -> tuple[QosProfile, ...]:
-    try:
-        return qos_profiles(channel.metadata.get('offered_qos_profiles', ''))
-    except ValueError:  # of an older rosbag2, which wrote numbers
-        return ()

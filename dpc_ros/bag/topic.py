@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,18 +122,16 @@ def qos_text(profiles: tuple[QosProfile, ...]) -> str:
     return yaml.safe_dump([qos_content(profile) for profile in profiles], sort_keys=False).strip()
 
 
-def qos_profiles(text: str) -> tuple[QosProfile, ...]:
-    """Return the profiles that `qos_text` has written.
+def offered_profiles(channel_metadata: Mapping[str, str]) -> tuple[QosProfile, ...]:
+    """Return the profiles that the channel of an MCAP file names.
 
-    Raises:
-        ValueError: the text is none of rosbag2's since format version 9.
+    They are empty where there are none that rosbag2 wrote since its format version 9.
     """
+    text = channel_metadata.get('offered_qos_profiles', '')
     try:
         return tuple(_profile(content) for content in yaml.safe_load(text) or ())
-    except (yaml.YAMLError, RecursionError, LookupError, TypeError) as error:
-        raise ValueError(
-            f'expected offered profiles as rosbag2 writes them, got {text!r}'
-        ) from error
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError):
+        return ()
 
 
 def _profile(content: dict[str, Any]) -> QosProfile:
