@@ -201,7 +201,7 @@ def _compare_message(
         a: Any = first.get(name)
         b: Any = second.get(name)
         if not (_is_numeric(a) and _is_numeric(b)):
-            if a != b:
+            if _plain(a) != _plain(b):
                 different = different or (name, a, b)
             continue
         if np.shape(a) != np.shape(b):
@@ -223,6 +223,11 @@ def _compare_message(
             where = f'{name}[{place}]' if np.ndim(a) else name
             different = where, np.ravel(a)[place].item(), np.ravel(b)[place].item()
     return different
+
+
+def _plain(value: Any) -> Any:
+    """Return a list for an array: an empty list of texts can't be told from one of numbers."""
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _is_numeric(value: Any) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from dpc_ros.bag.comparison import Comparison, TopicComparison
 from dpc_ros.bag.topic import NANOSECONDS
 
@@ -51,5 +53,6 @@ def _topic(topic: TopicComparison) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    text = '–' if value is None else str(value)
+    plain = value.tolist() if isinstance(value, np.ndarray) else value
+    text = '–' if plain is None else str(plain)
     return text if len(text) <= _LONGEST else f'{text[: _LONGEST - 1]}…'

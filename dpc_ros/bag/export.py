@@ -145,7 +145,7 @@ def _element_names(collected: dict[str, list[Any]], body: MassSpringNetwork | No
 def _array(values: Sequence[Any]) -> np.ndarray | None:
     """Return the values of a field as an array with a row each, None where it is always empty."""
     if any(isinstance(value, list) for value in values):  # of texts
-        values = [' '.join(value or []) for value in values]
+        values = [' '.join(value) if isinstance(value, list) else '' for value in values]
     if any(isinstance(value, str) for value in values):
         return np.array([value or '' for value in values])
     if not any(isinstance(value, np.ndarray) for value in values):
