@@ -92,7 +92,8 @@ def repair(options: argparse.Namespace) -> int | None:
         return 1
     for file in files:
         kept = f'{file.messages} messages in {file.chunks} chunks' if file.is_kept else 'left out'
-        print(f'{file.name}: {kept}, {file.size} bytes read' + ('' if file.losses else ', whole'))
+        whole = '' if file.losses else ', whole'
+        print(f'{file.name}' + (f': {kept} of {file.size} bytes{whole}' if file.size else ''))
         for loss in file.losses:
             print(f'  lost      {loss}')
     if not any(file.losses for file in files):

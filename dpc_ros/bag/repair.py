@@ -18,6 +18,7 @@ from tqdm import tqdm
 from dpc_ros import __version__
 from dpc_ros.bag.mcap_file import Contents, read_contents, read_raw
 from dpc_ros.bag.metadata import (
+    FILE_NAME,
     RECORD_NAME,
     BagFile,
     bag_content,
@@ -76,7 +77,8 @@ def repair(
         progress: show a bar.
 
     Returns:
-        what became of each file, in their order; one that is missing comes last.
+        what became of each file, in their order; then those that are missing, and `metadata.yaml`
+        where it was not as it should be.
 
     Raises:
         BagError: the source is no bag.
@@ -120,7 +122,7 @@ def repair(
             )
             for each in found
         ),
-        *(RepairedFile(name, 0, 0, 0, ('it is missing',), False) for name in _missing(source)),
+        *_missing(source, found),
     )
 
 
@@ -139,9 +141,25 @@ def _is_usable(found: Salvage) -> bool:
     return not found.losses or bool(found.messages or records or found.attachments)
 
 
-def _missing(source: Path) -> list[str]:
+def _missing(source: Path, found: Sequence[Salvage]) -> list[RepairedFile]:
+    """Return what the table of contents names and the folder lacks, and itself if it is wrong."""
+    if not source.is_dir():
+        return []
+    names = _listed(source)
+    files = [
+        RepairedFile(name, 0, 0, 0, ('it is missing',), False)
+        for name in names
+        if not (source / name).is_file()
+    ]
+    if names != [each.path.name for each in found]:
+        loss = 'it was missing or named other files: it is written anew'
+        files.append(RepairedFile(FILE_NAME, 0, 0, 0, (loss,), True))
+    return files
+
+
+def _listed(folder: Path) -> list[str]:
     with suppress(OSError, ValueError):
-        return [name for name in file_names(source) if not (source / name).is_file()]
+        return file_names(folder)
     return []
 
 
@@ -159,7 +177,11 @@ def _ros_distro(source: Path, found: Sequence[Salvage]) -> str:
 
 def _write_folder(found: Sequence[Salvage], folder: Path, distro: str, progress: bool) -> None:
     files = [_write_file(each, folder / each.path.name, distro, progress) for each in found]
-    write_metadata(folder, bag_content(files, distro))
+    source = found[0].path.parent
+    if not any(each.losses for each in found) and _listed(source) == [file.name for file in files]:
+        shutil.copyfile(source / FILE_NAME, folder / FILE_NAME)
+    else:
+        write_metadata(folder, bag_content(files, distro))
 
 
 def _write_file(found: Salvage, path: Path, distro: str, progress: bool) -> BagFile:

@@ -84,7 +84,7 @@ def test_the_same_run_again_is_equal_wherever_its_log_lies(run_with_gain, capsys
     assert 'recorder.bag: runs/a → runs/b' in shown, 'it is shown all the same'
 
 
-@settings(max_examples=20)
+@settings(max_examples=12)
 @given(
     changed=st.dictionaries(st.integers(0, 9), st.floats(1e-9, 10), max_size=4),
     tolerance=st.sampled_from([0.0, 1e-6, 0.1]),

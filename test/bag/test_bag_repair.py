@@ -231,7 +231,7 @@ def test_a_folder_keeps_its_files(split_bag, small_log, tmp_path):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     files = repair(folder, tmp_path / 'copy')
     assert not any(file.losses for file in files)
-    for path in folder.glob('*.mcap'):
+    for path in folder.iterdir():
         assert (tmp_path / 'copy' / path.name).read_bytes() == before[path.name]
     assert messages_of(tmp_path / 'copy') == whole
     # Killed in the last file, before any table of contents; the one before is gone.
@@ -246,6 +246,7 @@ def test_a_folder_keeps_its_files(split_bag, small_log, tmp_path):
         ('bag_3.mcap', True, True),
         ('bag_4.mcap', False, True),
         ('bag_1.mcap', False, True),
+        ('metadata.yaml', True, True),
     ]
     saved = messages_of(tmp_path / 'new')
     assert [m for m in whole if m in saved] == saved
