@@ -22,8 +22,9 @@ def test_a_log_whose_recorder_was_killed_is_mended(domain, observer, plan, tmp_p
     assert not (made.bag / 'metadata.yaml').exists()
     with pytest.raises(BagError, match='dpc bag repair'):
         read_run(made.bag)
-    (repaired,) = repair(made.bag, tmp_path / 'mended')
+    repaired, table = repair(made.bag, tmp_path / 'mended')
     assert repaired.losses
+    assert table.name == 'metadata.yaml'
     run = read_run(tmp_path / 'mended')
     # What was written is what happened: the first frames of the same run in one process.
     count = len(run.configuration)
