@@ -100,6 +100,14 @@ class Domain:
         return process.returncode, output
 
 
+@pytest.fixture(autouse=True)
+def read_every_log(tmp_path, assert_readers_agree):
+    """Whatever a test has recorded, all readers find the same in it."""
+    yield
+    for metadata in tmp_path.rglob('metadata.yaml'):
+        assert_readers_agree(metadata.parent)
+
+
 @pytest.fixture
 def domain():
     with domain_id() as number:
