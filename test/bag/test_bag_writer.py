@@ -66,7 +66,7 @@ def small_disk(tmp_path):
     except (OSError, subprocess.CalledProcessError) as error:
         pytest.skip(f'needs the right to mount a disk: {error}')
     yield folder
-    subprocess.run(['umount', str(folder)], check=True)
+    subprocess.run(['umount', '--lazy', str(folder)], check=True)
 
 
 @settings(deadline=None, max_examples=25)
