@@ -19,6 +19,7 @@ _LATEST_NS = 2**63 - 1  # ns, the largest time of ROS 2
 _SEQUENCES = 2**32  # MCAP counts messages with 32 bits
 # What the end of a file takes, at most [bytes]; a chunk index has an entry for each channel.
 _MESSAGE_OVERHEAD = 64  # record, and entry in the message index
+_CHUNK_OVERHEAD = 256  # record, and headers of the compressed data
 _CHUNK_INDEX = 128
 _CHUNK_INDEX_ENTRY = 16
 _END = 1 << 18  # statistics, footer, rosbag2's record, metadata.yaml
@@ -82,8 +83,8 @@ class FileWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of the file, as if the chunk in progress could not be compressed."""
-        return self._stream.tell() + self._pending
+        """Bytes of the file up to now, as if the chunk in progress could not be compressed."""
+        return self._stream.tell() + self._pending + _CHUNK_OVERHEAD
 
     @property
     def summary(self) -> BagFile:
@@ -98,11 +99,13 @@ class FileWriter:
 
     def add_topic(self, topic: Topic) -> None:
         """Announce a topic, which is new to the file."""
+        described = _CHUNK_INDEX
         if topic.type_name not in self._schemas:
+            definition = topic.definition.encode()
             self._schemas[topic.type_name] = self._writer.register_schema(
-                name=topic.type_name, encoding='ros2msg', data=topic.definition.encode()
+                name=topic.type_name, encoding='ros2msg', data=definition
             )
-            self._described += len(topic.definition)
+            described += len(topic.type_name) + len(definition)
         metadata = {
             'offered_qos_profiles': qos_text(topic.offered_qos_profiles),
             'topic_type_hash': topic.type_hash,
@@ -113,7 +116,9 @@ class FileWriter:
             schema_id=self._schemas[topic.type_name],
             metadata=metadata,
         )
-        self._described += len(topic.name) + sum(map(len, metadata.values())) + _CHUNK_INDEX
+        described += len(topic.name.encode()) + sum(map(len, metadata.values()))
+        self._described += described
+        self._pending += described
         self._topics[topic.name] = topic
         self._counts[topic] = 0
 
@@ -205,6 +210,7 @@ class FileWriter:
         """
         try:
             if not self._broken:
+                self._writer.flush()
                 for name, content in records.items():
                     self._writer.add_metadata(name, dict(content))
                 text = bag_text(bag_content([self.summary], ros_distro))

@@ -88,6 +88,11 @@ class BagWriter:
             counts.update({topic.name: count for topic, count in file.counts.items()})
         return dict(counts)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the bag is closed and every file of it has its end."""
+        return self._closed and self._file.path.name in {file.name for file in self._complete}
+
     def add_topic(self, topic: Topic) -> None:
         """Announce a topic before its first message; the same topic twice is once.
 
@@ -197,7 +202,7 @@ class BagWriter:
         self._closed = True
         if not self._file.closed:
             self._finish_file()
-        if self._complete and self._complete[-1].name == self._file.path.name:
+        if self.is_whole:
             write_metadata(self.folder, bag_content(self._complete, self._ros_distro))
 
     def __enter__(self) -> BagWriter:

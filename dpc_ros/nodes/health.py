@@ -16,8 +16,8 @@ class SequenceCounter:
     """Sees by the numbers that publishers give their messages how many never came.
 
     A message does not say who of several publishers sent it: its number goes on with the series
-    that it fits. While nothing is lost that is exact; after a loss it may be short, never too much.
-    Numbers start anew when another publisher takes over the topic.
+    that it fits. So none is invented while nothing is lost; how many were lost is exact for one
+    publisher, an estimate for several. Numbers start anew when another takes over the topic.
     """
 
     def __init__(self) -> None:

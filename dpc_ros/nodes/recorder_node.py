@@ -134,6 +134,8 @@ class RecorderNode(LoopNode):
         if writer is not None:
             with self._writing(writer):
                 writer.close()
+            if not writer.is_whole:
+                self.failure += '; its last file has no end, which `dpc bag repair` can give it'
 
     def is_drained(self) -> bool:
         if self._end_ns is None:
