@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -127,7 +128,11 @@ def offered_profiles(channel_metadata: Mapping[str, str]) -> tuple[QosProfile, .
 
     They are empty where there are none that rosbag2 wrote since its format version 9.
     """
-    text = channel_metadata.get('offered_qos_profiles', '')
+    return _profiles(channel_metadata.get('offered_qos_profiles', ''))
+
+
+@lru_cache(maxsize=256)  # every file of a log says the same of its topics
+def _profiles(text: str) -> tuple[QosProfile, ...]:
     try:
         return tuple(_profile(content) for content in yaml.safe_load(text) or ())
     except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError):

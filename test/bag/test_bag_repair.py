@@ -68,11 +68,11 @@ class Expected:
 def tiny(tmp_path_factory):
     """A file of five chunks and a metadata record, some thousand bytes."""
     folder = tmp_path_factory.mktemp('tiny') / 'bag'
-    with BagWriter(folder, chunk_size=240) as bag:
+    with BagWriter(folder, chunk_size=160) as bag:
         bag.add_metadata('dpc_ros.parameters', {'yaml': 'a: 1'})
         bag.add_topic(Topic('/a', 'std_msgs/msg/Float64', 'float64 data'))
         bag.add_topic(Topic('/b', 'std_msgs/msg/Int8', 'int8 data'))
-        for k in range(24):
+        for k in range(16):
             time = 10**18 + 1000 * k
             topic, cdr = ('/b', bytes([k])) if k % 4 == 1 else ('/a', struct.pack('<d', k / 7))
             bag.write(topic, b'\0\1\0\0' + cdr, time, time - 10, k)
