@@ -59,6 +59,7 @@ setup(
             'ros-jazzy-rmw-fastrtps-cpp',
             'ros-jazzy-rosgraph-msgs',
         ],
+        'parquet': ['pyarrow'],
         'selection': ['ray[tune]'],
         'test': [
             'beartype',
@@ -68,6 +69,7 @@ setup(
             'hypothesis',
             'mypy',
             'psutil',
+            'pyarrow',
             'pytest',
             'pytest-timeout',
             'ray[tune]',

@@ -1,17 +1,24 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
+import base64
 import configparser
+import json
 import os
 import re
+import shutil
 import signal
+import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from operator import itemgetter
+from pathlib import Path
 
 import hypothesis
 import numpy as np
 import pytest
 from jaxtyping import install_import_hook
+from rosbags.highlevel import AnyReader
 
 # Not rooms with compiled loops: numba has to see their functions as they are.
 SHAPE_CHECKED = (
@@ -28,6 +35,7 @@ SHAPE_CHECKED = (
 install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
 
 from dpc_ros.autoencoder import load_checkpoint  # noqa: E402
+from dpc_ros.bag.mcap_file import read_contents, read_messages  # noqa: E402
 from dpc_ros.control.registry import ENTRY_POINT_GROUP as LAWS_GROUP  # noqa: E402
 from dpc_ros.data import simulate_conditions, thin  # noqa: E402
 from dpc_ros.data.conditions import training_conditions  # noqa: E402
@@ -47,6 +55,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
 hypothesis.settings.load_profile('dpc_ros')
 
+READER_IN_NODE = Path(__file__).parent / 'bag' / 'reader_in_node'
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
 
@@ -263,3 +272,98 @@ def spring(install_package, monkeypatch):
     paths = [str(site), *filter(None, [os.environ.get('PYTHONPATH')])]
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
     return name
+
+
+@pytest.fixture(scope='session')
+def reader_in_node(request):
+    """The command that prints messages as Foxglove reads them, installed; None without Node."""
+    node, npm = shutil.which('node'), shutil.which('npm')
+    if not node or not npm:
+        return None
+    folder = request.config.cache.mkdir('reader_in_node')
+    lock = 'package-lock.json'
+    packages = (READER_IN_NODE / lock).read_bytes()
+    installed = folder / 'installed.json'
+    for name in ('package.json', lock, 'read.mjs'):
+        shutil.copy(READER_IN_NODE / name, folder)
+    if not installed.is_file() or installed.read_bytes() != packages:
+        command = [npm, 'ci', '--ignore-scripts', '--no-audit', '--no-fund']
+        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+        installed.write_bytes(packages)
+    return [node, str(folder / 'read.mjs')]
+
+
+@pytest.fixture(scope='session')
+def assert_readers_agree(reader_in_node):
+    """Return a function: assert that all readers find the same in each file of a bag.
+
+    rosbags and dpc_ros read at once, Node all files in one go at the end of the session.
+    """
+    files = []
+
+    def check(bag):
+        found = sorted(bag.glob('*.mcap'))
+        assert found, f'{bag} holds no file'
+        for file in found:
+            assert_same(file, read_with_rosbags(file), read_with_dpc_ros(file))
+        with AnyReader([bag]) as reader:
+            whole = reader.message_count
+        assert whole == sum(sum(read_contents(file).messages.values()) for file in found)
+        files.extend(found)
+
+    yield check
+    if reader_in_node is not None:
+        for file, rows in read_with_node(reader_in_node, files):
+            assert_same(file, read_with_rosbags(file), rows)
+
+
+def read_with_rosbags(file):
+    """Return topic, log time and message of everything in a file."""
+    with AnyReader([file]) as reader:
+        return [
+            (each.topic, time, reader.deserialize(data, each.msgtype))
+            for each, time, data in reader.messages()
+        ]
+
+
+def read_with_dpc_ros(file):
+    topics = list(read_contents(file).types)
+    return [(each.topic, each.log_time_ns, each.content) for each in read_messages(file, topics)]
+
+
+def read_with_node(command, files):
+    """Yield each file with what Node finds in it."""
+    with subprocess.Popen([*command, *map(str, files)], stdout=subprocess.PIPE) as process:
+        rows = {file: [] for file in files}
+        for line in process.stdout:
+            row = json.loads(line)
+            rows[Path(row['file'])].append((row['topic'], int(row['logTime']), row['message']))
+    assert process.returncode == 0, 'Node can not read the files'
+    yield from rows.items()
+
+
+def assert_same(file, rows, others):
+    assert len(rows) == len(others), file
+    key = itemgetter(1, 0)  # the order of equal log times is the reader's choice
+    for row, other in zip(sorted(rows, key=key), sorted(others, key=key), strict=True):
+        assert row[:2] == other[:2], file
+        assert agrees(row[2], other[2]), f'{file}: {row} and {other}'
+
+
+def agrees(value, other):
+    """Return whether a message of rosbags, or a part of it, is what another reader has."""
+    if hasattr(value, '__msgtype__'):
+        get = other.get if isinstance(other, dict) else lambda name: getattr(other, name)
+        # constants have a value by default
+        names = [field.name for field in fields(value) if field.default is MISSING]
+        return all(agrees(getattr(value, name), get(name)) for name in names)
+    if isinstance(value, np.ndarray):
+        if isinstance(other, dict):
+            return value.tobytes() == base64.b64decode(other['bytes'])
+        read = np.frombuffer if isinstance(other, bytes) else np.array
+        return value.tobytes() == read(other, dtype=value.dtype).tobytes()
+    if isinstance(value, list):
+        return len(value) == len(other) and all(map(agrees, value, other))
+    if isinstance(other, dict):
+        other = int(other['integer']) if 'integer' in other else float(other['float'])
+    return value == other or (value != value and other != other)

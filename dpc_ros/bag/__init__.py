@@ -3,25 +3,51 @@
 from dpc_ros.bag.convergence import Convergence, Energy, analyse
 from dpc_ros.bag.convergence_table import course, summary, table
 from dpc_ros.bag.figure import draw
-from dpc_ros.bag.mcap_file import BagError
-from dpc_ros.bag.metadata import PARAMETERS_RECORD
+from dpc_ros.bag.mcap_file import (
+    Contents,
+    Message,
+    RawMessage,
+    read_contents,
+    read_messages,
+    read_raw,
+)
+from dpc_ros.bag.metadata import (
+    COMMAND_RECORD,
+    LOSSES_RECORD,
+    MODELS_RECORD,
+    NODE_PARAMETERS_RECORD,
+    PARAMETERS_RECORD,
+    VERSIONS_RECORD,
+)
 from dpc_ros.bag.reader import Run, Target, read_run
+from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
 __all__ = [
+    'COMMAND_RECORD',
+    'LOSSES_RECORD',
+    'MODELS_RECORD',
+    'NODE_PARAMETERS_RECORD',
     'PARAMETERS_RECORD',
+    'VERSIONS_RECORD',
     'BagError',
     'BagWriter',
+    'Contents',
     'Convergence',
     'Energy',
+    'Message',
     'QosProfile',
+    'RawMessage',
     'Run',
     'Target',
     'Topic',
     'analyse',
     'course',
     'draw',
+    'read_contents',
+    'read_messages',
+    'read_raw',
     'read_run',
     'summary',
     'table',

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -119,6 +121,31 @@ def qos_content(profile: QosProfile) -> dict[str, Any]:
 def qos_text(profiles: tuple[QosProfile, ...]) -> str:
     """Return the YAML that rosbag2 keeps with the channel of an MCAP file."""
     return yaml.safe_dump([qos_content(profile) for profile in profiles], sort_keys=False).strip()
+
+
+def offered_profiles(channel_metadata: Mapping[str, str]) -> tuple[QosProfile, ...]:
+    """Return the profiles that the channel of an MCAP file names.
+
+    They are empty where there are none that rosbag2 wrote since its format version 9.
+    """
+    return _profiles(channel_metadata.get('offered_qos_profiles', ''))
+
+
+@lru_cache(maxsize=256)  # every file of a log says the same of its topics
+def _profiles(text: str) -> tuple[QosProfile, ...]:
+    try:
+        return tuple(_profile(content) for content in yaml.safe_load(text) or ())
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError):
+        return ()
+
+
+def _profile(content: dict[str, Any]) -> QosProfile:
+    durations = {
+        f'{key}_ns': content[key]['sec'] * NANOSECONDS + content[key]['nsec']
+        for key in ('deadline', 'lifespan', 'liveliness_lease_duration')
+    }
+    words = {key: content[key] for key in (*_POLICIES, 'depth', 'avoid_ros_namespace_conventions')}
+    return QosProfile(**words, **durations)
 
 
 def _duration(nanoseconds: int) -> dict[str, int]:

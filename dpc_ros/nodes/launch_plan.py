@@ -13,6 +13,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from dpc_ros.nodes.parameters import ParameterError, declarations
+from dpc_ros.nodes.topic_selection import TopicSelection
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
@@ -56,6 +57,12 @@ class LaunchPlan:
     def bag(self) -> Path | None:
         """Folder of the log, none without a recorder."""
         return Path(self.parameters[RECORDER]['bag']) if RECORDER in self.parameters else None
+
+    def records(self, topic: str) -> bool:
+        """Return whether a topic of the loop is in the log."""
+        return RECORDER in self.parameters and _selects(
+            self.parameters[RECORDER], self.namespace, topic
+        )
 
     def write(self) -> None:
         """Make the run's folder with its parameter file.
@@ -142,14 +149,25 @@ def make_plan(
             'encoder: measure_delay: expected a simulator with time_mode realtime; in lockstep a '
             'force acts at once'
         )
-    recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in given[node]:
             readers = [*declarations(node)['expected_subscribers'].default]
-            readers += [RECORDER] * (output in recorded) + [LAUNCHER] * (output in MONITORED)
-            readers += ['encoder'] * (node == 'controller' and observes)
+            if RECORDER in nodes and _selects(parameters[RECORDER], namespace, output):
+                readers.append(RECORDER)
+            if output in MONITORED:
+                readers.append(LAUNCHER)
+            if node == 'controller' and observes:
+                readers.append('encoder')
             parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
+
+
+def _selects(recorder: Mapping[str, Any], namespace: str, topic: str) -> bool:
+    try:
+        selection = TopicSelection(recorder['topics'], recorder['exclude'], namespace)
+    except ValueError as error:
+        raise ParameterError(f'{RECORDER}: {error}') from error
+    return selection.selects(f'{namespace.rstrip("/")}/{topic}')
 
 
 def _read_sections(config: Path) -> dict[str, dict[str, Any]]:

@@ -45,6 +45,7 @@ class LoopNode(LifecycleNode):
 
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
+        gathering_s: time [s] for which it may let messages gather, where it is alone in a process.
         kind: which of the nodes it is, and its name where it isn't remapped.
         settings: its parameters by name.
         health: its counts.
@@ -53,6 +54,7 @@ class LoopNode(LifecycleNode):
     """
 
     acts_to_the_end = False
+    gathering_s = 0.0
 
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
@@ -133,27 +135,20 @@ class LoopNode(LifecycleNode):
         return publisher
 
     def create_input(
-        self,
-        topic: str,
-        callback: Callable[..., None],
-        raw: bool = False,
-        newest_only: bool = False,
+        self, topic: str, callback: Callable[..., None], newest_only: bool = False
     ) -> None:
         """Subscribe to a topic of the loop.
 
         Args:
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
-            raw: whether it takes the bytes.
             newest_only: leave out all but the newest of what has come while the node was busy.
         """
         entry = TOPICS[topic]
         qos = copy(entry.qos)
         if newest_only:
             qos.depth = 1
-        self._inputs.append(
-            self.create_subscription(entry.message_type, topic, callback, qos, raw=raw)
-        )
+        self._inputs.append(self.create_subscription(entry.message_type, topic, callback, qos))
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.
@@ -167,7 +162,7 @@ class LoopNode(LifecycleNode):
             self.health.warning = f'{topic} has several publishers'
             self.say(f'{topic} has several publishers: stop all but one', problem=True)
         else:
-            self.health.lost += gap
+            self.health.lost[topic] += gap
         return self.active
 
     def matched(self, publisher: Publisher) -> bool:
@@ -283,7 +278,9 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
 
 
 def _run(node: LoopNode, stop: StopRequest) -> int:
-    executor = make_executor(node.settings['executor'], context=stop.context)
+    executor = make_executor(
+        node.settings['executor'], context=stop.context, gathering_s=node.gathering_s
+    )
     executor.add_node(node)
     single_threaded_algebra()
     try:

@@ -16,6 +16,7 @@ _SEPARATOR = '=' * 80 + '\n'
 # Primitive types whose names differ between the classes (IDL) and `.msg` files.
 _MSG_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
+_TYPE_NAME = re.compile(r'(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*)')
 _SEQUENCE = re.compile(r'sequence<(.+?)(?:, (\d+))?>')
 _ARRAY = re.compile(r'(.+)\[(\d+)\]')
 _BOUNDED_STRING = re.compile(r'(w?string)<(\d+)>')
@@ -25,6 +26,24 @@ def message_type_name(message_class: type[Any]) -> str:
     """Return the full name of a message type, for example `sensor_msgs/msg/JointState`."""
     package, folder, _ = message_class.__module__.split('.')
     return f'{package}/{folder}/{message_class.__name__}'
+
+
+def find_message_class(type_name: str) -> type[Any]:
+    """Return the class of a message type, for example of `sensor_msgs/msg/JointState`.
+
+    Raises:
+        ValueError: it is no message type, or its Python package is not installed.
+    """
+    match = _TYPE_NAME.fullmatch(type_name)
+    try:
+        if match:
+            return getattr(import_module(f'{match["package"]}.msg'), match['name'])
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f'{type_name}: expected a type of an installed package, but {error}: '
+            'install it, or source the workspace that has it'
+        ) from error
+    raise ValueError(f'expected a message type, as sensor_msgs/msg/JointState, got {type_name!r}')
 
 
 def message_definition(message_class: type[Any]) -> str:
@@ -65,7 +84,8 @@ def _own_definition(message_class: type[Any]) -> str:
     for name, idl_type in message_class.get_fields_and_field_types().items():
         element, suffix = _element_and_suffix(idl_type)
         lines.append(f'{element}{suffix} {name}')
-    return ''.join(f'{line}\n' for line in lines)
+    # An empty text would say that the definition is not known.
+    return ''.join(f'{line}\n' for line in lines or ['# no fields'])
 
 
 def _element_and_suffix(idl_type: str) -> tuple[str, str]:

@@ -1,14 +1,24 @@
+import errno
+import itertools
+import os
+import resource
+import struct
+import subprocess
+
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 
-from dpc_ros.bag import BagWriter, QosProfile, Topic
+from dpc_ros.bag import LOSSES_RECORD, BagWriter, QosProfile, Topic
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
@@ -29,6 +39,34 @@ def read_with_mcap(folder):
 def read_with_rosbags(folder):
     with AnyReader([folder]) as reader:
         return [(topic.topic, time, data) for topic, time, data in reader.messages()]
+
+
+def read_unfinished(file):
+    """Return the log times in the complete chunks of a file that has no end."""
+    with file.open('rb') as stream:
+        records = StreamReader(stream, validate_crcs=True).records
+        times = []
+        try:
+            for record in records:
+                if isinstance(record, Message):
+                    times.append(record.log_time)
+        except (McapError, struct.error):  # where the file ends
+            pass
+        return times
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 4 MiB."""
+    folder = tmp_path / 'disk'
+    folder.mkdir()
+    command = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'small', str(folder)]
+    try:
+        subprocess.run(command, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f'needs the right to mount a disk: {error}')
+    yield folder
+    subprocess.run(['umount', '--lazy', str(folder)], check=True)
 
 
 @settings(deadline=None, max_examples=25)
@@ -243,3 +281,142 @@ def test_sequence_numbers_of_64_bits_are_kept_modulo_32(messages, tmp_path):
     with (tmp_path / 'run' / 'run_0.mcap').open('rb') as stream:
         ((_, _, record),) = make_reader(stream).iter_messages()
     assert record.sequence == 2**32 - 1
+
+
+def test_what_is_synced_is_on_the_disk_in_complete_chunks(messages, tmp_path, monkeypatch):
+    synced = []
+
+    def fsync(descriptor):
+        os_fsync(descriptor)
+        synced.append((os.readlink(f'/proc/self/fd/{descriptor}'), os.fstat(descriptor).st_size))
+
+    os_fsync = os.fsync
+    monkeypatch.setattr(os, 'fsync', fsync)
+    file = tmp_path / 'run' / 'run_0.mcap'
+    with BagWriter(tmp_path / 'run') as bag:
+        assert [path for path, _ in synced] == [str(file.parent)]  # its name is on the disk
+        bag.add_topic(messages.topic('/control_force', WRENCH))
+        for time in range(1, 4):
+            bag.write('/control_force', messages.wrench(time, (0, 1)), time, time, time)
+            bag.sync()
+            # What is read here is what a killed process leaves behind.
+            assert read_unfinished(file) == list(range(1, time + 1))
+            assert synced[-1] == (str(file), file.stat().st_size)
+        count = len(synced)
+        bag.sync()
+        assert len(synced) == count, 'nothing has come since'
+        bag.write('/control_force', messages.wrench(4, (0, 1)), 4, 4, 4)
+        assert read_unfinished(file) == [1, 2, 3]
+    assert (str(file), file.stat().st_size) in synced
+
+
+@settings(deadline=None, max_examples=10)
+@given(
+    sizes=st.lists(st.integers(0, 400), min_size=1, max_size=40),
+    split_size=st.sampled_from([0, 6_000, 20_000]),
+    split_duration_ns=st.sampled_from([0, 70, 200]),
+)
+def test_a_split_log_is_one_log_of_files_that_stand_alone(
+    sizes, split_size, split_duration_ns, messages, tmp_path_factory
+):
+    folder = tmp_path_factory.mktemp('runs') / 'bag'
+    limits = {'split_size': split_size, 'split_duration_ns': split_duration_ns}
+    written = []
+    with BagWriter(folder, chunk_size=2_000, **limits) as bag:
+        bag.add_topic(messages.topic('/configuration', JOINT_STATE))
+        bag.add_metadata('run', {'seed': '7'})
+        for k, size in enumerate(sizes):
+            time = 10 * k
+            position = np.random.default_rng(k).normal(size=size)
+            cdr = messages.joint_state(time, position)
+            bag.write('/configuration', cdr, time, time, k)
+            bag.count_lost('/configuration', 1)
+            written.append(('/configuration', time, cdr))
+        counts = bag.message_counts
+    assert counts == {'/configuration': len(sizes)}
+    (content,) = yaml.safe_load((folder / 'metadata.yaml').read_text()).values()
+    names = content['relative_file_paths']
+    assert names == [f'bag_{k}.mcap' for k in range(len(names))]
+    assert sorted(names) == sorted(path.name for path in folder.glob('*.mcap'))
+    assert read_with_rosbags(folder) == written
+    parts = [read_with_rosbags(folder / name) for name in names]
+    assert list(itertools.chain(*parts)) == written
+    lost = 0
+    for name, part, entry in zip(names, parts, content['files'], strict=True):
+        times = [time for _, time, _ in part]
+        assert entry['message_count'] == len(part) > 0
+        assert entry['starting_time'] == {'nanoseconds_since_epoch': times[0]}
+        assert entry['duration'] == {'nanoseconds': times[-1] - times[0]}
+        if split_duration_ns:
+            assert times[-1] - times[0] < split_duration_ns
+        with (folder / name).open('rb') as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            records = {record.name: record.metadata for record in reader.iter_metadata()}
+            summary = reader.get_summary()
+        assert [schema.name for schema in summary.schemas.values()] == [JOINT_STATE]
+        if split_size and len(part) > 1:
+            last_chunk = summary.chunk_indexes[-1]
+            assert last_chunk.chunk_start_offset + last_chunk.chunk_length <= split_size
+        assert records['run'] == {'seed': '7'}
+        own = yaml.safe_load(records['rosbag2']['serialized_metadata'])
+        assert own['relative_file_paths'] == [name]
+        lost += len(part)
+        # The first message of the next file is lost before that file is closed, not this one.
+        assert records[LOSSES_RECORD] == {'/configuration': str(lost)}
+    if not split_size and not split_duration_ns:
+        assert len(names) == 1
+
+
+def test_on_a_full_disk_the_log_is_finished_with_all_that_came(small_disk, messages):
+    folder = small_disk / 'run'
+    written = []
+
+    def fill():
+        with BagWriter(folder) as bag:
+            bag.add_topic(messages.topic('/configuration', JOINT_STATE))
+            rng = np.random.default_rng(0)
+            while True:
+                time = len(written)
+                cdr = messages.joint_state(time, rng.normal(size=400))
+                written.append(('/configuration', time, cdr))
+                bag.write('/configuration', cdr, time, time, time)
+
+    with pytest.raises(OSError, match='No space left') as caught:
+        fill()
+    assert caught.value.errno == errno.ENOSPC
+    # Refused before it was taken, or taken into the reserve.
+    assert read_with_rosbags(folder) in (written, written[:-1])
+    assert read_with_mcap(folder) == read_with_rosbags(folder)
+    assert sum(path.stat().st_size for path in folder.iterdir()) > 2.5 * 2**20
+    with pytest.raises(OSError, match='No space left'):
+        (small_disk / 'rest').write_bytes(bytes(2 * 2**20))
+    with pytest.raises(OSError, match='No space left'):
+        BagWriter(small_disk / 'other')
+
+
+def test_a_file_that_may_not_grow_keeps_its_complete_chunks(messages, tmp_path):
+    folder, written = tmp_path / 'run', []
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    bag = BagWriter(folder, chunk_size=10_000)
+    bag.add_topic(messages.topic('/configuration', JOINT_STATE))
+    rng = np.random.default_rng(0)
+
+    def fill():
+        while True:
+            cdr = messages.joint_state(1, rng.normal(size=400))
+            bag.write('/configuration', cdr, len(written), 1, 1)
+            written.append(len(written))
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, before[1]))
+    try:
+        with pytest.raises(OSError, match='File too large'):
+            fill()
+        bag.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    kept = read_unfinished(folder / 'run_0.mcap')
+    assert kept == written[: len(kept)]
+    assert len(kept) > 0.9 * len(written)
+    assert not (folder / 'metadata.yaml').exists()
+    with pytest.raises(ValueError, match='closed'):
+        bag.sync()

@@ -18,7 +18,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.bag import read_run
+from dpc_ros.bag import LOSSES_RECORD, read_run
+from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
@@ -98,6 +99,14 @@ class Domain:
             process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
+
+
+@pytest.fixture(autouse=True)
+def read_every_log(tmp_path, assert_readers_agree):
+    """Whatever a test has recorded, all readers find the same in it."""
+    yield
+    for metadata in tmp_path.rglob('metadata.yaml'):
+        assert_readers_agree(metadata.parent)
 
 
 @pytest.fixture
@@ -216,6 +225,23 @@ def assert_repeats(reference):
         for name in ('configuration', 'velocity', 'latent', 'latent_velocity', 'force'):
             np.testing.assert_array_equal(getattr(run, name), getattr(reference, name))
         assert not any(run.losses.values()), run.losses
+        return run
+
+    return check
+
+
+@pytest.fixture
+def assert_nothing_lost():
+    """Assert that a log holds each message of the loop from the first on; return what was read."""
+
+    def check(bag: Path):
+        numbers = {'/configuration': [], '/latent_state': [], '/control_force': []}
+        for message in read_messages(bag, numbers):
+            numbers[message.topic].append(message.sequence)
+        for topic, found in numbers.items():
+            assert found == list(range(1, len(found) + 1)), topic
+        run = read_run(bag)
+        assert set(run.metadata[LOSSES_RECORD].values()) == {'0'}
         return run
 
     return check

@@ -25,7 +25,9 @@ READERS = {
 
 
 @pytest.mark.parametrize('order', list(itertools.permutations(LOOP)), ids='-'.join)
-def test_nodes_started_by_hand_converge_in_any_order(domain, observer, tmp_path, order):
+def test_nodes_started_by_hand_converge_in_any_order(
+    domain, observer, tmp_path, order, assert_nothing_lost
+):
     recorder = domain.start('recorder_node', '--ros-args', '-p', f'bag:={tmp_path / "bag"}')
     observer.wait_for_node('recorder')
     nodes = {}
@@ -38,7 +40,7 @@ def test_nodes_started_by_hand_converge_in_any_order(domain, observer, tmp_path,
     for process in (nodes['encoder'], nodes['controller'], recorder):
         code, output = domain.stop(process)
         assert code == 0, output
-    run = read_run(tmp_path / 'bag')
+    run = assert_nothing_lost(tmp_path / 'bag')
     np.testing.assert_array_equal(run.configuration_stamp, np.arange(1001) * 5_000_000)
     convergence = analyse(run)
     # What no control does is 1; a delayed force may cost an order over lockstep's 3e-4, not more.

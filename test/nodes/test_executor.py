@@ -37,10 +37,10 @@ DEPTH = 100
 class Ros:
     """One executor in a context and a domain of its own."""
 
-    def __init__(self, executor_name, domain):
+    def __init__(self, executor_name, domain, gathering_s=0.0):
         self.context = Context()
         self.context.init(args=[], domain_id=domain)
-        self.executor = make_executor(executor_name, context=self.context)
+        self.executor = make_executor(executor_name, context=self.context, gathering_s=gathering_s)
         self.nodes = []
 
     def node(self, name, node_class=Node):
@@ -80,11 +80,15 @@ class Ros:
         self.context.try_shutdown()
 
 
-@pytest.fixture(params=EXECUTORS)
+@pytest.fixture(
+    params=[*((name, 0.0) for name in EXECUTORS), ('kept_wait_set', 0.002)],
+    ids=[*EXECUTORS, 'gathering'],
+)
 def ros(request, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with domain_id() as domain:
-        ros = Ros(request.param, domain)
+        name, gathering_s = request.param
+        ros = Ros(name, domain, gathering_s)
         yield ros
         ros.close()
 
@@ -602,7 +606,7 @@ def test_interrupt_ends_an_idle_process(executor, handlers):
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize('ros', ['kept_wait_set'], indirect=True)
+@pytest.mark.parametrize('ros', [('kept_wait_set', 0.0)], indirect=True)
 def test_wait_set_is_kept_until_entities_change(ros):
     node = ros.node('both')
     publisher = node.create_publisher(Int64, 'numbers', DEPTH)

@@ -1,0 +1,345 @@
+"""What the recorder takes, says and keeps, whatever happens to it."""
+
+import os
+import shutil
+import signal
+import struct
+import subprocess
+from array import array
+
+import numpy as np
+import psutil
+import pytest
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from rclpy.context import Context
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import ColorRGBA, Empty, Int64MultiArray, String
+
+from dpc_ros import __version__
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.bag import (
+    COMMAND_RECORD,
+    LOSSES_RECORD,
+    MODELS_RECORD,
+    NODE_PARAMETERS_RECORD,
+    VERSIONS_RECORD,
+)
+from dpc_ros.bag.mcap_file import read_contents, read_messages
+from dpc_ros.network import load_network
+from dpc_ros.nodes.executor import KeptWaitSetExecutor
+from dpc_ros.nodes.recorder_node import RecorderNode
+from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
+from dpc_ros.resources import config_path
+
+LOOP = ('simulator', 'encoder', 'controller')
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def complete_messages(file):
+    """Return the numbers of the messages in the complete chunks of a file, finished or not."""
+    numbers = []
+    with file.open('rb') as stream:
+        try:
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Message):
+                    numbers.append(record.sequence)
+        except (McapError, struct.error):  # where the file ends
+            pass
+    return numbers
+
+
+class Recording:
+    """A recorder in a process, and what the test publishes to it."""
+
+    def __init__(self, domain, observer, folder, *parameters):
+        self.domain, self.observer, self.folder = domain, observer, folder
+        given = [part for item in (f'bag:={folder}', *parameters) for part in ('-p', item)]
+        self.process = domain.start('recorder_node', '--ros-args', *given)
+        observer.wait_for_node('recorder')
+
+    @property
+    def file(self):
+        return self.folder / f'{self.folder.name}_0.mcap'
+
+    def publisher(self, message_type, topic, qos, node=None):
+        """Return a publisher that the recorder is matched with."""
+        publisher = (node or self.observer.node).create_publisher(message_type, topic, qos)
+        self.observer.wait(publisher.get_subscription_count, f'the recorder on {topic}')
+        return publisher
+
+    def wait_for(self, count):
+        """Wait until a number of messages is on the disk."""
+        self.observer.wait(
+            lambda: self.file.is_file() and len(complete_messages(self.file)) >= count,
+            f'{count} messages in complete chunks',
+        )
+
+    def stop(self):
+        code, output = self.domain.stop(self.process)
+        assert code == 0, output
+        return read_contents(self.file)
+
+
+@pytest.fixture
+def recording(domain, observer, tmp_path):
+    return lambda *parameters, folder=tmp_path / 'bag': Recording(
+        domain, observer, folder, *parameters
+    )
+
+
+def force(number):
+    message = WrenchStamped()
+    message.header.stamp.sec = number
+    message.wrench.force.x = number / 7
+    return message
+
+
+def test_topics_by_pattern_of_any_type_and_quality_from_whenever_they_come(recording, observer):
+    made = recording(
+        "topics:=['/lab/*', named, only_listened_to]", "exclude:=['*/noise']", 'split_size:=20000'
+    )
+    messages = [
+        ('/lab/color', BEST_EFFORT, ColorRGBA(r=0.1, a=1.0)),
+        ('/lab/deep/latched', LATCHED, String(data='ξ')),
+        ('/lab/nothing', LOOP_QOS, Empty()),
+        ('/named', LOOP_QOS, Int64MultiArray(data=[2**62, -1])),
+    ]
+    observer.node.create_publisher(String, '/lab/noise', LATCHED).publish(String())
+    observer.node.create_publisher(String, '/lab/_hidden', LATCHED).publish(String())
+    observer.node.create_subscription(ColorRGBA, '/only_listened_to', print, 10)
+    for topic, qos, message in messages:
+        made.publisher(type(message), topic, qos).publish(message)
+    # Nobody has published there yet: the recorder listens already.
+    made.publisher(ColorRGBA, '/only_listened_to', LOOP_QOS).publish(ColorRGBA(b=0.5))
+    made.wait_for(len(messages) + 1)
+    contents = made.stop()
+    assert contents.messages == {
+        '/lab/color': 1,
+        '/lab/deep/latched': 1,
+        '/lab/nothing': 1,
+        '/named': 1,
+        '/only_listened_to': 1,
+    }
+    decoded = {each.topic: each.content for each in read_messages(made.file, contents.types)}
+    assert decoded['/lab/deep/latched'].data == 'ξ'
+    assert list(decoded['/named'].data) == [2**62, -1]
+    assert decoded['/lab/color'].a == 1.0
+
+
+def test_what_was_latched_before_is_recorded_and_a_lesser_offer_is_followed(recording, observer):
+    target = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
+    target.publish(JointState(position=[1.0, 2.0]))
+    made = recording()
+    made.wait_for(1)
+    # The topics of the loop are listened to as reliable; this publisher is not.
+    push = made.publisher(WrenchStamped, 'external_force', BEST_EFFORT)
+    push.publish(force(1))
+    made.wait_for(2)
+    assert made.stop().messages == {'/target': 1, '/external_force': 1}
+
+
+def test_the_log_says_what_was_running(domain, observer, tmp_path):
+    observer.node.declare_parameter('lengths', [0.25, 1e-300])
+    command = ('--output', str(tmp_path / 'run'), '--realtime', '--duration', '1')
+    launcher = domain.start('launcher', *command, '--set', 'recorder.attach=[network, checkpoint]')
+    observer.wait(lambda: launcher.poll() is not None, 'the end of the run')
+    assert launcher.returncode == 0, launcher.stdout.read()
+    bag = tmp_path / 'run' / 'bag'
+    metadata = read_contents(bag).metadata
+    nodes = {
+        name: yaml.safe_load(text)[name]['ros__parameters']
+        for name, text in metadata[NODE_PARAMETERS_RECORD].items()
+    }
+    assert {'/simulator', '/encoder', '/controller', '/recorder', '/observer'} <= nodes.keys()
+    assert nodes['/observer']['lengths'] == [0.25, 1e-300]
+    assert nodes['/simulator']['duration'] == 1.0
+    assert nodes['/recorder']['attach'] == ['network', 'checkpoint']
+    network, checkpoint = load_network('paper_2'), load_checkpoint('paper_2_extended_m5')
+    assert metadata[MODELS_RECORD] == {
+        '/configuration': network.identifier,
+        '/latent_state': checkpoint.identifier,
+    }
+    assert metadata[VERSIONS_RECORD]['dpc_ros'] == __version__
+    assert metadata[VERSIONS_RECORD]['numpy'] == np.__version__
+    (content,) = yaml.safe_load((bag / 'metadata.yaml').read_text()).values()
+    assert content['ros_distro'] == metadata[VERSIONS_RECORD]['ros_distribution']
+    assert 'launcher' in metadata[COMMAND_RECORD]['launcher']
+    assert ' '.join(command) in metadata[COMMAND_RECORD]['launcher']
+    assert '--params-file' in metadata[COMMAND_RECORD]['process']
+    with (bag / 'bag_0.mcap').open('rb') as stream:
+        attached = {each.name: each.data for each in make_reader(stream).iter_attachments()}
+    assert attached == {
+        f'{kind}/{name}': config_path(folder, name).read_bytes()
+        for kind, folder, name in (
+            ('network', 'systems', 'paper_2.json'),
+            ('checkpoint', 'checkpoints', 'paper_2_extended_m5.json'),
+            ('checkpoint', 'checkpoints', 'paper_2_extended_m5.safetensors'),
+        )
+    }
+
+
+def test_five_seconds_at_a_kilohertz_are_recorded_with_nothing_lost(
+    domain, observer, plan, assert_nothing_lost
+):
+    made = plan(simulator={'time_mode': 'realtime', 'rate': 1000.0, 'duration': 5.0})
+    nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', *LOOP)}
+    observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
+    for kind in ('simulator', 'encoder', 'controller', 'recorder'):
+        code, output = domain.stop(nodes[kind])
+        assert code == 0, output
+    run = assert_nothing_lost(made.bag)
+    np.testing.assert_array_equal(run.configuration_stamp, np.arange(5001) * 1_000_000)
+    assert len(run.latent) == len(run.configuration)
+
+
+def test_losses_are_counted_by_topic(recording, observer):
+    said = []
+    observer.node.create_subscription(DiagnosticArray, '/diagnostics', said.append, 10)
+    made = recording()
+    # Keeps one message only: what a sleeping recorder has not taken is gone.
+    careless = made.publisher(WrenchStamped, 'external_force', QoSProfile(depth=1))
+    careful = made.publisher(WrenchStamped, 'control_force', LOOP_QOS)
+    careless.publish(force(1))
+    careful.publish(force(1))
+    made.wait_for(2)
+    made.process.send_signal(signal.SIGSTOP)
+    published = 3000
+    for number in range(2, published + 1):
+        careless.publish(force(number))
+    made.process.send_signal(signal.SIGCONT)
+    # The last one is not lost, and the gaps before it are known when it has come.
+    observer.wait(lambda: max(complete_messages(made.file)) == published, 'the last message')
+
+    def is_reported():
+        reports = [array.status[0] for array in said if array.status[0].name == 'recorder']
+        counts = [{value.key: value.value for value in each.values} for each in reports]
+        return (
+            counts
+            and counts[-1].get('lost: /external_force', '0') != '0'
+            and (reports[-1].level == DiagnosticStatus.WARN)
+        )
+
+    observer.wait(is_reported, 'the report of the losses')
+    contents = made.stop()
+    lost = published - contents.messages['/external_force']
+    assert lost > 0
+    losses = contents.metadata[LOSSES_RECORD]
+    assert losses == {'/external_force': str(lost), '/control_force': '0'}
+
+
+def test_an_idle_recorder_holds_nothing_back_and_a_killed_one_loses_nothing(recording, domain):
+    made = recording()
+    publisher = made.publisher(WrenchStamped, 'control_force', LOOP_QOS)
+    for number in range(1, 11):
+        publisher.publish(force(number))
+    made.wait_for(10)  # and nothing comes that would fill the chunk
+    domain.kill(made.process)
+    assert complete_messages(made.file) == list(range(1, 11))
+
+
+def test_what_is_recorded_is_synced_within_the_interval(domain, observer, tmp_path, monkeypatch):
+    """In one process, so that the system calls can be seen."""
+    folder = tmp_path / 'bag'
+    file = folder / 'bag_0.mcap'
+    synced = []
+
+    def fsync(descriptor):
+        os_fsync(descriptor)
+        synced.append((os.readlink(f'/proc/self/fd/{descriptor}'), os.fstat(descriptor).st_size))
+
+    os_fsync = os.fsync
+    monkeypatch.setattr(os, 'fsync', fsync)
+    context = Context()
+    rclpy.init(
+        context=context, domain_id=domain.number, args=['--ros-args', '-p', f'bag:={folder}']
+    )
+    node = RecorderNode(context)
+    executor = KeptWaitSetExecutor(context=context)
+    executor.add_node(node)
+    try:
+        assert node.start()
+        periods = [timer.timer_period_ns for timer in node.timers]
+        assert min(periods) <= node.settings['sync_interval'] * 1e9 == 0.2e9
+        publisher = observer.node.create_publisher(WrenchStamped, 'control_force', LOOP_QOS)
+        observer.wait(publisher.get_subscription_count, 'the recorder')
+        for number in range(1, 6):
+            publisher.publish(force(number))
+
+            def is_synced(number=number):
+                executor.spin_once(timeout_sec=0.01)
+                return len(complete_messages(file)) == number
+
+            observer.wait(is_synced, f'message {number} in a complete chunk')
+            assert synced[-1] == (str(file), file.stat().st_size)
+        count = len(synced)
+    finally:
+        executor.shutdown()
+        node.close()
+        context.try_shutdown()
+    assert len(synced) > count, 'the end is synced, too'
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 4 MiB."""
+    folder = tmp_path / 'disk'
+    folder.mkdir()
+    command = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'small', str(folder)]
+    try:
+        subprocess.run(command, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f'needs the right to mount a disk: {error}')
+    yield folder
+    subprocess.run(['umount', '--lazy', str(folder)], check=True)
+
+
+def flood(made):
+    """Publish noise until the recorder gives up; return its exit code and errors."""
+    publisher = made.publisher(JointState, 'configuration', LOOP_QOS)
+    rng = np.random.default_rng(0)
+
+    def has_ended():
+        for _ in range(10):
+            noise = array('d', rng.normal(size=400).tobytes())
+            publisher.publish(JointState(position=noise))
+        return made.process.poll() is not None
+
+    made.observer.wait(has_ended, 'the recorder to give up')
+    output = made.process.stdout.read()
+    assert 'Traceback' not in output
+    return [line for line in output.splitlines() if line.startswith('error:')]
+
+
+def test_a_full_disk_ends_with_one_clear_error_and_a_whole_log(recording, small_disk, tmp_path):
+    made = recording(folder=small_disk / 'bag')
+    (error,) = flood(made)
+    assert made.process.returncode == 1
+    for words in (str(made.folder), 'No space left', 'kept'):
+        assert words in error
+    shutil.copytree(made.folder, tmp_path / 'kept')  # and read by every reader after the test
+    numbers = [each.sequence for each in read_messages(made.file, ['/configuration'])]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) * 3200 > 2 * 2**20
+
+
+def test_a_file_that_may_not_grow_keeps_what_it_has(recording):
+    made = recording()
+    limit = 2_000_000
+    psutil.Process(made.process.pid).rlimit(psutil.RLIMIT_FSIZE, (limit, limit))
+    (error,) = flood(made)
+    assert made.process.returncode == 1
+    for words in (str(made.folder), 'File too large', 'dpc bag repair'):
+        assert words in error
+    numbers = complete_messages(made.file)
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert len(numbers) * 3200 > limit / 2
+    assert not (made.folder / 'metadata.yaml').exists()
