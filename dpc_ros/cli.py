@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from dpc_ros import __version__
+from dpc_ros import __version__, bag_commands
 
 DATA_FOLDER = Path('runs/data')
 TRAINING_FOLDER = Path('runs/training')
@@ -61,10 +61,13 @@ GENERATOR_OPTIONS: dict[str, tuple[Callable[[str], float], str, str]] = {
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command; a bad input ends with one line and exit code 2, Ctrl-C with 130."""
+    """Run one command; a bad input ends with one line and exit code 2, Ctrl-C with 130.
+
+    A command that finds something to complain of returns an exit code of its own.
+    """
     options = _parser().parse_args(arguments)
     try:
-        options.command(options)
+        status = options.command(options)
     except (ValueError, OSError) as error:
         print(f'error: {error}', file=sys.stderr)
         sys.exit(2)
@@ -74,6 +77,8 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         print('stopped', file=sys.stderr)
         sys.exit(130)
+    if status:
+        sys.exit(status)
 
 
 def generate(options: argparse.Namespace) -> None:
@@ -283,28 +288,6 @@ def paper(options: argparse.Namespace) -> None:
     run(options.experiment, workshop, docs)
 
 
-def converge(options: argparse.Namespace) -> None:
-    """Read a log back and show how the run converged; no ROS needed."""
-    from dpc_ros.bag import course, draw, summary, table
-    from dpc_ros.bag.report import converge as measure
-    from dpc_ros.results import write_results
-
-    convergence, notes = measure(
-        options.bag, options.network, options.checkpoint, options.namespace
-    )
-    folder = Path(options.bag)
-    folder = folder if folder.is_dir() else folder.parent
-    figure = Path(options.figure or folder / 'convergence.png')
-    print(table(convergence))
-    for note in notes:
-        print(note)
-    draw(convergence, figure)
-    print(f'\nfigure      {figure}')
-    if options.results:
-        write_results(options.results, [*course(convergence), summary(convergence)])
-        print(f'results     {options.results}')
-
-
 def _cell(value: object) -> str:
     return (
         f'{value:>14.6g}'
@@ -420,14 +403,8 @@ def _parser() -> argparse.ArgumentParser:
         '--docs', default='docs', help='where results and figures go, default docs'
     )
 
-    command = commands.add_parser('converge', help=converge.__doc__, description=converge.__doc__)
-    command.set_defaults(command=converge)
-    command.add_argument('bag', help='folder or MCAP file of the log')
-    command.add_argument('--network', help='of the body, where it is not a shipped one')
-    command.add_argument('--checkpoint', help='of the encoder, where it is not a shipped one')
-    command.add_argument('--namespace', help='of the topics, where the log has several')
-    command.add_argument('--results', help='JSON to write the table to, as in docs/results')
-    command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
+    group = commands.add_parser('bag', help=bag_commands.__doc__, description=bag_commands.__doc__)
+    bag_commands.add_to(group)
     return parser
 
 

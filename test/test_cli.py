@@ -24,8 +24,9 @@ COMMANDS = [
     'reduce',
     'reach',
     'paper',
-    'converge',
+    'bag',
 ]
+BAG_COMMANDS = ['converge']
 
 
 @pytest.fixture
@@ -45,7 +46,11 @@ def dpc(tmp_path):
     return run
 
 
-@pytest.mark.parametrize('command', [[], *([name] for name in COMMANDS)], ids=' '.join)
+@pytest.mark.parametrize(
+    'command',
+    [[], *([name] for name in COMMANDS), *(['bag', name] for name in BAG_COMMANDS)],
+    ids=' '.join,
+)
 def test_help_says_what_a_command_does(dpc, command):
     run = dpc(*command, '--help')
     assert run.returncode == 0
@@ -53,6 +58,8 @@ def test_help_says_what_a_command_does(dpc, command):
     assert run.stdout.startswith(f'usage: {" ".join(["dpc", *command])}')
     if not command:
         assert all(name in run.stdout for name in COMMANDS)
+    if command == ['bag']:
+        assert all(name in run.stdout for name in BAG_COMMANDS)
 
 
 def test_version(dpc):
@@ -130,8 +137,8 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['reach', 'paper_2', '--target', 'rest', '--mass', '1000'], 'mass 1000'),
         (['reach', 'paper_2', '--target', 'rest', '--starts', '0'], 'starts: expected at least 2'),
         (['paper', 'nothing'], "no experiment 'nothing'"),
-        (['converge', 'nothing'], 'nothing'),
-        (['converge', 'bad.mcap'], 'bad.mcap'),
+        (['bag', 'converge', 'nothing'], 'nothing'),
+        (['bag', 'converge', 'bad.mcap'], 'bad.mcap'),
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else '',
 )

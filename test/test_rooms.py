@@ -37,6 +37,7 @@ ROS_PACKAGES = {
     'rpyutils',
     'std_srvs',
 }
+COMMANDS = {'cli', 'bag_commands'}  # above all rooms
 MODULES = sorted(PACKAGE.rglob('*.py'))
 OUTSIDE_NODES = [path for path in MODULES if not path.is_relative_to(PACKAGE / 'nodes')]
 
@@ -72,7 +73,7 @@ def below(path):
 def test_every_module_stands_in_a_room():
     assert {room(path.relative_to(PACKAGE).parts) for path in MODULES} <= {
         *ROOMS,
-        'cli',
+        *COMMANDS,
         '__init__',
     }
 
@@ -85,7 +86,7 @@ def test_only_nodes_import_ros(path):
 @pytest.mark.parametrize('path', MODULES, ids=below)
 def test_rooms_import_only_downward(path):
     own = room(path.relative_to(PACKAGE).parts)
-    if own == 'cli':
+    if own in COMMANDS:
         return
     allowed = ROOMS[: ROOMS.index(own) + 1] if own in ROOMS else []
     for name in imports(path):

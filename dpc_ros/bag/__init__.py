@@ -3,9 +3,17 @@
 from dpc_ros.bag.convergence import Convergence, Energy, analyse
 from dpc_ros.bag.convergence_table import course, summary, table
 from dpc_ros.bag.figure import draw
-from dpc_ros.bag.mcap_file import BagError
+from dpc_ros.bag.mcap_file import (
+    Contents,
+    Message,
+    RawMessage,
+    read_contents,
+    read_messages,
+    read_raw,
+)
 from dpc_ros.bag.metadata import PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, Target, read_run
+from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
@@ -13,15 +21,21 @@ __all__ = [
     'PARAMETERS_RECORD',
     'BagError',
     'BagWriter',
+    'Contents',
     'Convergence',
     'Energy',
+    'Message',
     'QosProfile',
+    'RawMessage',
     'Run',
     'Target',
     'Topic',
     'analyse',
     'course',
     'draw',
+    'read_contents',
+    'read_messages',
+    'read_raw',
     'read_run',
     'summary',
     'table',

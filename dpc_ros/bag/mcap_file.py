@@ -1,7 +1,8 @@
-"""The MCAP file of a bag without ROS: its topics, metadata and decoded messages."""
+"""The MCAP files of a bag without ROS: their topics, metadata and messages."""
 
 from __future__ import annotations
 
+import heapq
 import struct
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -11,11 +12,15 @@ from typing import Any
 
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Schema, Statistics
+from mcap.records import Message as RecordedMessage
+from mcap.summary import Summary
 from mcap_ros2.decoder import DecoderFactory
 from zstandard import ZstdError
 
 from dpc_ros.bag.check_sums import MAGIC, verify
 from dpc_ros.bag.metadata import RECORD_NAME
+from dpc_ros.bag.splits import BagError, find_files
 
 # What the readers raise on a damaged file; a wrong check sum is a ValueError.
 _DAMAGE = (
@@ -28,27 +33,69 @@ _DAMAGE = (
     struct.error,
     ZstdError,
 )
-_SHOWN = 5  # files listed in an error
+_Record = tuple[Path, Schema | None, Channel, RecordedMessage]
 
 
-class BagError(ValueError):
-    """A bag that can't be read: what was expected, what came, what to do."""
+@dataclass(frozen=True)
+class Attachment:
+    """What the index of a file says of an attachment.
+
+    Attributes:
+        name: of the attachment.
+        media_type: `text/plain`, …
+        size: of its data [bytes].
+        log_time_ns: when it was recorded [ns since the epoch].
+    """
+
+    name: str
+    media_type: str
+    size: int
+    log_time_ns: int
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the summary of a file says.
+    """What the summaries of a bag's files say.
 
     Attributes:
+        files: the MCAP files, in the order of the recording.
         types: type of each topic, `sensor_msgs/msg/JointState`.
         messages: number of messages of each topic.
         metadata: metadata records by name, without rosbag2's own; of two of one name the later
             one overwrites single keys of the earlier.
+        attachments: in the order of the files.
+        start_ns: log time of the first message, 0 where there is none [ns since the epoch].
+        end_ns: log time of the last message, likewise.
     """
 
+    files: tuple[Path, ...]
     types: dict[str, str]
     messages: dict[str, int]
     metadata: dict[str, dict[str, str]]
+    attachments: tuple[Attachment, ...]
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class RawMessage:
+    """A message of a bag as it was received.
+
+    Attributes:
+        topic: name of the topic.
+        type_name: `sensor_msgs/msg/JointState`, empty where the bag does not say it.
+        sequence: the publisher's number of the message, 0 if not known.
+        log_time_ns: when it was received [ns since the epoch].
+        publish_time_ns: when it was sent [ns since the epoch].
+        cdr: the serialised message, with its encapsulation header.
+    """
+
+    topic: str
+    type_name: str
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    cdr: bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,93 +104,150 @@ class Message:
 
     Attributes:
         topic: name of the topic.
+        type_name: `sensor_msgs/msg/JointState`.
         sequence: the publisher's number of the message, 0 if not known.
         log_time_ns: when it was received [ns since the epoch].
+        publish_time_ns: when it was sent [ns since the epoch].
         content: an object with the fields of the ROS message.
     """
 
     topic: str
+    type_name: str
     sequence: int
     log_time_ns: int
+    publish_time_ns: int
     content: Any
 
 
-def find_file(path: str | Path) -> Path:
-    """Return the MCAP file that a path means: the file itself or the folder that holds it.
+def read_contents(path: str | Path) -> Contents:
+    """Read the summaries of a bag.
+
+    Args:
+        path: folder of the bag, or one MCAP file.
 
     Raises:
-        BagError: nothing is there, or the folder holds none or several.
+        BagError: the path is no bag, or a file is damaged or cut off.
     """
-    path = Path(path)
-    if path.is_file():
-        return path
-    if not path.is_dir():
-        raise BagError(
-            f'{path}: expected the folder of a bag or an .mcap file, but nothing is there: '
-            'check the path'
-        )
-    files = sorted(path.glob('*.mcap'))
-    if len(files) == 1:
-        return files[0]
-    if files:
-        raise BagError(
-            f'{path}: expected a folder with one .mcap file, but it holds {len(files)}: '
-            f'name one of them, {_some(files)}'
-        )
-    raise BagError(
-        f'{path}: expected a folder with an .mcap file, but it holds '
-        f'{_some(sorted(path.iterdir())) or "nothing"}: name the folder of a bag'
+    files = find_files(path)
+    types: dict[str, str] = {}
+    messages: dict[str, int] = {}
+    metadata: dict[str, dict[str, str]] = {}
+    attachments: list[Attachment] = []
+    spans: list[tuple[int, int]] = []
+    for file in files:
+        with _reader(file) as reader:
+            summary, statistics = _summary(reader)
+            if statistics.message_count:
+                spans.append((statistics.message_start_time, statistics.message_end_time))
+            for number, channel in summary.channels.items():
+                count = statistics.channel_message_counts.get(number, 0)
+                messages[channel.topic] = messages.get(channel.topic, 0) + count
+                schema = summary.schemas.get(channel.schema_id)
+                types[channel.topic] = schema.name if schema else ''
+            for record in reader.iter_metadata():
+                if record.name != RECORD_NAME:
+                    metadata.setdefault(record.name, {}).update(record.metadata)
+            attachments += [
+                Attachment(index.name, index.media_type, index.data_size, index.log_time)
+                for index in summary.attachment_indexes
+            ]
+    return Contents(
+        files,
+        types,
+        messages,
+        metadata,
+        tuple(attachments),
+        start_ns=min((start for start, _ in spans), default=0),
+        end_ns=max((end for _, end in spans), default=0),
     )
 
 
-def read_contents(path: str | Path) -> Contents:
-    """Read the summary of a bag.
+def read_raw(path: str | Path, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    """Read the messages of some topics, or all, in the order of their log times, undecoded.
 
     Raises:
-        BagError: the path is no bag, or the file is damaged or cut off.
+        BagError: the path is no bag, or a file is damaged.
     """
-    with _reader(find_file(path)) as reader:
-        summary = reader.get_summary()
-        if summary is None or summary.statistics is None:
-            raise McapError('it has no summary')
-        types: dict[str, str] = {}
-        messages: dict[str, int] = {}
-        for number, channel in summary.channels.items():
-            count = summary.statistics.channel_message_counts.get(number, 0)
-            messages[channel.topic] = messages.get(channel.topic, 0) + count
-            schema = summary.schemas.get(channel.schema_id)
-            types[channel.topic] = schema.name if schema else ''
-        metadata: dict[str, dict[str, str]] = {}
-        for record in reader.iter_metadata():
-            if record.name != RECORD_NAME:
-                metadata.setdefault(record.name, {}).update(record.metadata)
-    return Contents(types, messages, metadata)
+    for _, schema, channel, record in _records(path, topics):
+        yield RawMessage(
+            channel.topic,
+            schema.name if schema else '',
+            record.sequence,
+            record.log_time,
+            record.publish_time,
+            record.data,
+        )
 
 
-def read_messages(path: str | Path, topics: Collection[str]) -> Iterator[Message]:
-    """Read the messages of some topics in the order of their log times.
+def read_messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Message]:
+    """Read the messages of some topics, or all, in the order of their log times.
 
     Raises:
-        BagError: the path is no bag, the file is damaged, or a message can't be decoded.
+        BagError: the path is no bag, a file is damaged, or a message can't be decoded.
     """
-    file = find_file(path)
-    factory = DecoderFactory()
-    with _reader(file) as reader:
-        for schema, channel, record in reader.iter_messages(topics=topics):
+    factories: dict[Path, DecoderFactory] = {}  # it knows schemas by their numbers in one file
+    for file, schema, channel, record in _records(path, topics):
+        factory = factories.setdefault(file, DecoderFactory())
+        type_name = schema.name if schema else 'message'
+        try:
             decode = factory.decoder_for(channel.message_encoding, schema)
             if decode is None:
                 raise BagError(
                     f'{file}: expected CDR messages with a ros2msg definition on {channel.topic}, '
                     f'got {channel.message_encoding} with {schema.encoding if schema else "none"}'
                 )
-            try:
-                content = decode(record.data)
-            except _DAMAGE as error:
-                raise BagError(
-                    f'{file}: a message of {channel.topic} at log time {record.log_time} ns is no '
-                    f'{schema.name if schema else "message"}: {_reason(error)}'
-                ) from error
-            yield Message(channel.topic, record.sequence, record.log_time, content)
+            content = decode(record.data)
+        except BagError:
+            raise
+        except _DAMAGE as error:
+            raise BagError(
+                f'{file}: a message of {channel.topic} at log time {record.log_time} ns is no '
+                f'{type_name}: {reason(error)}'
+            ) from error
+        yield Message(
+            channel.topic,
+            type_name,
+            record.sequence,
+            record.log_time,
+            record.publish_time,
+            content,
+        )
+
+
+def _records(path: str | Path, topics: Collection[str] | None) -> Iterator[_Record]:
+    """Merge the files by log time, each opened when its first message is due."""
+    files = find_files(path)
+    due: list[tuple[int, int, _Record | None, Iterator[_Record]]] = [
+        (_start_ns(file) if len(files) > 1 else 0, place, None, _records_of(file, topics))
+        for place, file in enumerate(files)
+    ]
+    heapq.heapify(due)
+    while due:
+        _, place, record, rest = heapq.heappop(due)
+        if record is not None:
+            yield record
+        following = next(rest, None)
+        if following is not None:
+            heapq.heappush(due, (following[-1].log_time, place, following, rest))
+
+
+def _records_of(file: Path, topics: Collection[str] | None) -> Iterator[_Record]:
+    with _reader(file) as reader:
+        for schema, channel, record in reader.iter_messages(topics=topics):
+            yield file, schema, channel, record
+
+
+def _start_ns(file: Path) -> int:
+    with _reader(file) as reader:
+        _, statistics = _summary(reader)
+        return statistics.message_start_time
+
+
+def _summary(reader: McapReader) -> tuple[Summary, Statistics]:
+    summary = reader.get_summary()
+    if summary is None or summary.statistics is None:
+        raise McapError('it has no summary')
+    return summary, summary.statistics
 
 
 @contextmanager
@@ -169,14 +273,10 @@ def _reader(file: Path) -> Iterator[McapReader]:
         except (*_DAMAGE, OSError) as error:
             raise BagError(
                 f'{file}: expected a complete MCAP file, but it is cut off or damaged '
-                f'({_reason(error)}): `mcap recover` saves what can be read of it'
+                f'({reason(error)}): `dpc bag repair` saves what can be read of it'
             ) from error
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """Return the first line of what an error says."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def _some(files: list[Path]) -> str:
-    names = [file.name for file in files[:_SHOWN]]
-    return ', '.join(names) + (', …' if len(files) > _SHOWN else '')

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dpc_ros.bag.topic import Topic, qos_content
+from dpc_ros.bag.topic import QosProfile, qos_content
 from dpc_ros.files import replacing
 
 FILE_NAME = 'metadata.yaml'
@@ -18,53 +19,98 @@ PARAMETERS_RECORD = 'dpc_ros.parameters'  # of the record that keeps the nodes' 
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content
 
 
+@dataclass(frozen=True)
+class FileSpan:
+    """What `metadata.yaml` says of one MCAP file.
+
+    Attributes:
+        name: of the file, relative to the bag's folder.
+        message_count: of all topics.
+        start_ns: log time of its first message, 0 where there is none [ns since the epoch].
+        end_ns: log time of its last message, likewise.
+    """
+
+    name: str
+    message_count: int
+    start_ns: int
+    end_ns: int
+
+
 def bag_content(
-    file_name: str,
-    counts: Mapping[Topic, int],
-    starting_time_ns: int,
-    duration_ns: int,
-    ros_distro: str,
+    files: Sequence[FileSpan], topics: Sequence[tuple[dict[str, Any], int]], ros_distro: str
 ) -> dict[str, Any]:
-    """Return what rosbag2 wants to know of a bag of one MCAP file.
+    """Return what rosbag2 wants to know of a bag.
 
     Args:
-        file_name: of the MCAP file, relative to the bag's folder.
-        counts: messages of each topic.
-        starting_time_ns: log time of the first message [ns since the epoch].
-        duration_ns: from the first to the last message [ns].
-        ros_distro: name of the ROS distribution that recorded it.
+        files: in the order of the recording.
+        topics: `topic_content` of each topic, and its number of messages.
+        ros_distro: name of the ROS distribution that recorded it, empty where it is not known.
     """
-    message_count = sum(counts.values())
+    filled = [file for file in files if file.message_count]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
     return {
         'version': FORMAT_VERSION,
         'storage_identifier': 'mcap',
-        'duration': {'nanoseconds': duration_ns},
-        'starting_time': {'nanoseconds_since_epoch': starting_time_ns},
-        'message_count': message_count,
+        'duration': {'nanoseconds': end - start},
+        'starting_time': {'nanoseconds_since_epoch': start},
+        'message_count': sum(file.message_count for file in files),
         'topics_with_message_count': [
-            {'topic_metadata': _topic_content(topic), 'message_count': count}
-            for topic, count in counts.items()
+            {'topic_metadata': topic, 'message_count': count} for topic, count in topics
         ],
         # MCAP compresses its chunks itself: to rosbag2 such a bag is not compressed.
         'compression_format': '',
         'compression_mode': '',
-        'relative_file_paths': [file_name],
+        'relative_file_paths': [file.name for file in files],
         'files': [
             {
-                'path': file_name,
-                'starting_time': {'nanoseconds_since_epoch': starting_time_ns},
-                'duration': {'nanoseconds': duration_ns},
-                'message_count': message_count,
+                'path': file.name,
+                'starting_time': {'nanoseconds_since_epoch': file.start_ns},
+                'duration': {'nanoseconds': file.end_ns - file.start_ns},
+                'message_count': file.message_count,
             }
+            for file in files
         ],
         'custom_data': None,
         'ros_distro': ros_distro,
     }
 
 
+def topic_content(
+    name: str, type_name: str, offered_qos_profiles: Iterable[QosProfile], type_hash: str
+) -> dict[str, Any]:
+    """Return what rosbag2 wants to know of a topic."""
+    return {
+        'name': name,
+        'type': type_name,
+        'serialization_format': 'cdr',
+        'offered_qos_profiles': [qos_content(profile) for profile in offered_qos_profiles],
+        'type_description_hash': type_hash,
+    }
+
+
 def bag_text(content: dict[str, Any]) -> str:
     """Return the content of a bag as the YAML that stands in the MCAP file itself."""
     return yaml.safe_dump(content, sort_keys=False)
+
+
+def file_names(folder: Path) -> list[str]:
+    """Return the names of the MCAP files that `metadata.yaml` lists, in the order of the recording.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is not that of a bag.
+    """
+    try:
+        content = yaml.safe_load((folder / FILE_NAME).read_text())
+    # A cut off or overwritten file is no YAML, or one of another shape.
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError('no YAML') from error
+    information = content.get('rosbag2_bagfile_information') if isinstance(content, dict) else None
+    names = information.get('relative_file_paths') if isinstance(information, dict) else None
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise ValueError('no list of relative_file_paths')
+    return names
 
 
 def write_metadata(folder: Path, content: dict[str, Any]) -> None:
@@ -74,13 +120,3 @@ def write_metadata(folder: Path, content: dict[str, Any]) -> None:
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())
-
-
-def _topic_content(topic: Topic) -> dict[str, Any]:
-    return {
-        'name': topic.name,
-        'type': topic.type_name,
-        'serialization_format': 'cdr',
-        'offered_qos_profiles': [qos_content(profile) for profile in topic.offered_qos_profiles],
-        'type_description_hash': topic.type_hash,
-    }

@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from dpc_ros.bag.mcap_file import (
-    BagError,
     Contents,
     Message,
-    find_file,
     read_contents,
     read_messages,
 )
+from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import NANOSECONDS
 
 LATENT_PREFIX = 'xi_'  # how the names of latent coordinates start
@@ -55,7 +54,7 @@ class Run:
     """The log of a closed loop, each signal in the order of its stamps, each stamp once.
 
     Attributes:
-        path: the MCAP file.
+        path: folder of the bag, or its MCAP file.
         namespace: of the topics, empty or `/body_2`.
         configuration_stamp: of each state of the body [ns].
         configuration: q [m].
@@ -105,7 +104,7 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
     """Read the log of a run.
 
     Args:
-        path: folder of the bag, or its MCAP file.
+        path: folder of the bag, or an MCAP file.
         namespace: of the topics, `body_2` or `/body_2`; `/` is none. Left out, the only one in
             which a configuration occurs.
 
@@ -113,7 +112,7 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
         BagError: the path is no bag, the file is damaged, there is no configuration message, no
             or more than one namespace fits, or a topic holds what a loop can't have published.
     """
-    file = find_file(path)
+    file = Path(path)
     contents = read_contents(file)
     namespace = _choose_namespace(file, contents, namespace)
     signals = {f'{namespace}/{name}': _Signal(kind) for name, kind in _READERS.items()}

@@ -9,7 +9,14 @@ from types import TracebackType
 from mcap.writer import CompressionType, Writer
 
 from dpc_ros import __version__
-from dpc_ros.bag.metadata import RECORD_NAME, bag_content, bag_text, write_metadata
+from dpc_ros.bag.metadata import (
+    RECORD_NAME,
+    FileSpan,
+    bag_content,
+    bag_text,
+    topic_content,
+    write_metadata,
+)
 from dpc_ros.bag.topic import Topic, qos_text
 
 DEFAULT_CHUNK_SIZE = 256 * 1024  # bytes; what a crash of the recorder can lose at most
@@ -189,13 +196,20 @@ class BagWriter:
 
     def _content(self) -> dict:
         empty = not any(self._counts.values())
-        return bag_content(
-            file_name=self.path.name,
-            counts={topic: self._counts[name] for name, topic in self._topics.items()},
-            starting_time_ns=0 if empty else self._first_ns,
-            duration_ns=0 if empty else self._last_ns - self._first_ns,
-            ros_distro=self._ros_distro,
+        file = FileSpan(
+            name=self.path.name,
+            message_count=sum(self._counts.values()),
+            start_ns=0 if empty else self._first_ns,
+            end_ns=0 if empty else self._last_ns,
         )
+        topics = [
+            (
+                topic_content(name, topic.type_name, topic.offered_qos_profiles, topic.type_hash),
+                self._counts[name],
+            )
+            for name, topic in self._topics.items()
+        ]
+        return bag_content([file], topics, self._ros_distro)
 
     def _check_open(self) -> None:
         if self._stream.closed:

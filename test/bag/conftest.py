@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from rosbags.typesys import Stores, get_typestore
 
 from dpc_ros.autoencoder import Autoencoder
@@ -13,6 +14,7 @@ from dpc_ros.bag import BagWriter, QosProfile, Topic
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
+STEP = 5_000_000  # ns
 NOTHING = np.zeros(0)
 RELIABLE = (QosProfile(depth=200),)
 
@@ -72,17 +74,30 @@ class Log:
     sequences: dict = field(default_factory=dict)  # topic name: list of numbers
 
     def write_to(self, bag, messages):
-        rows = []
-        for name, type_name, cdrs in self._topics(messages):
-            topic = f'{self.namespace}/{name}'
-            bag.add_topic(messages.topic(topic, type_name))
-            numbers = self.sequences.get(name, range(1, len(cdrs) + 1))
-            pairs = zip(cdrs, numbers, strict=True)
-            rows += [(k, topic, cdr, n) for k, (cdr, n) in enumerate(pairs)]
+        for topic in self.topics(messages):
+            bag.add_topic(topic)
         for name, content in self.metadata.items():
             bag.add_metadata(name, content)
-        for k, topic, cdr, number in sorted(rows, key=lambda row: row[:2]):
-            bag.write(topic, cdr, 10**18 + 1000 * k, 10**18 + 999 * k, number)
+        for row in self.rows(messages):
+            bag.write(*row)
+
+    def topics(self, messages):
+        return [
+            messages.topic(f'{self.namespace}/{name}', type_name)
+            for name, type_name, _ in self._topics(messages)
+        ]
+
+    def rows(self, messages):
+        """Return topic, CDR, log time, publish time and number of each message."""
+        rows = []
+        for name, _, cdrs in self._topics(messages):
+            numbers = self.sequences.get(name, range(1, len(cdrs) + 1))
+            pairs = zip(cdrs, numbers, strict=True)
+            rows += [(k, f'{self.namespace}/{name}', cdr, n) for k, (cdr, n) in enumerate(pairs)]
+        return [
+            (topic, cdr, 10**18 + 1000 * k, 10**18 + 999 * k, number)
+            for k, topic, cdr, number in sorted(rows, key=lambda row: row[:2])
+        ]
 
     def _topics(self, messages):
         state, wrench = messages.joint_state, messages.wrench
@@ -173,6 +188,52 @@ def record(messages, tmp_path_factory):
         return folder
 
     return write
+
+
+@pytest.fixture(scope='session')
+def split_bag(messages, tmp_path_factory):
+    """Write a log into a bag of several files, as a recorder that splits leaves it."""
+
+    def write(log, parts, log_times=None):
+        folder = tmp_path_factory.mktemp('runs') / 'bag'
+        folder.mkdir()
+        rows = log.rows(messages)
+        if log_times is not None:
+            rows = [(*row[:2], t, t, row[4]) for row, t in zip(rows, log_times, strict=True)]
+        contents = []
+        for k, part in enumerate(np.array_split(np.arange(len(rows)), parts)):
+            with BagWriter(tmp_path_factory.mktemp('part') / 'bag') as bag:
+                for topic in log.topics(messages):
+                    bag.add_topic(topic)
+                for name, content in log.metadata.items():
+                    bag.add_metadata(name, content)
+                for place in part:
+                    bag.write(*rows[place])
+            bag.path.rename(folder / f'bag_{k}.mcap')
+            text = (bag.folder / 'metadata.yaml').read_text().replace('bag_0.mcap', f'bag_{k}.mcap')
+            contents.append(yaml.safe_load(text)['rosbag2_bagfile_information'])
+        together = contents[0]
+        for key in ('relative_file_paths', 'files'):
+            together[key] = [item for content in contents for item in content[key]]
+        together['message_count'] = len(rows)
+        text = yaml.safe_dump({'rosbag2_bagfile_information': together})
+        (folder / 'metadata.yaml').write_text(text)
+        return folder
+
+    return write
+
+
+@pytest.fixture(scope='session')
+def small_log(log_type):
+    stamps = [7 + STEP * k for k in range(20)]
+    return log_type(
+        configuration=[(t, [k, -k, 0.5, 1e-300], [k / 7, 0, 0, 1]) for k, t in enumerate(stamps)],
+        latent=[(t, [k / 3, 1.0], [0.1, k]) for k, t in enumerate(stamps)],
+        force=[(t, (k, 2.0 * k)) for k, t in enumerate(stamps[:-1])],
+        external_force=[(stamps[3], (0.5, 0.25))],
+        targets=[(0, [1.0, 2.0, 3.0, 4.0], False)],
+        metadata={'run': {'seed': '7', 'law': 'energy shaping'}, 'launch': {'rate': '200'}},
+    )
 
 
 @pytest.fixture(scope='session')

@@ -12,19 +12,6 @@ JOINT_STATE = 'sensor_msgs/msg/JointState'
 STEP = 5_000_000  # ns
 
 
-@pytest.fixture(scope='session')
-def small_log(log_type):
-    stamps = [7 + STEP * k for k in range(20)]
-    return log_type(
-        configuration=[(t, [k, -k, 0.5, 1e-300], [k / 7, 0, 0, 1]) for k, t in enumerate(stamps)],
-        latent=[(t, [k / 3, 1.0], [0.1, k]) for k, t in enumerate(stamps)],
-        force=[(t, (k, 2.0 * k)) for k, t in enumerate(stamps[:-1])],
-        external_force=[(stamps[3], (0.5, 0.25))],
-        targets=[(0, [1.0, 2.0, 3.0, 4.0], False)],
-        metadata={'run': {'seed': '7', 'law': 'energy shaping'}, 'launch': {'rate': '200'}},
-    )
-
-
 def test_a_run_comes_back_as_it_was_written(small_log, record):
     folder = record(small_log)
     for path in (folder, str(folder), folder / 'bag_0.mcap'):

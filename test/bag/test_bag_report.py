@@ -121,7 +121,7 @@ def test_a_figure_that_cannot_be_written_is_said_after_the_table(
     (tmp_path / 'file').touch()
     arguments = ['--network', str(network_path), '--figure', str(tmp_path / 'file' / 'run.png')]
     with pytest.raises(SystemExit) as caught:
-        cli.main(['converge', str(small_bag()), *arguments])
+        cli.main(['bag', 'converge', str(small_bag()), *arguments])
     assert caught.value.code == 2
     shown = capsys.readouterr()
     assert 'final nMSE' in shown.out
