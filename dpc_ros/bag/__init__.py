@@ -11,13 +11,14 @@ from dpc_ros.bag.mcap_file import (
     read_messages,
     read_raw,
 )
-from dpc_ros.bag.metadata import PARAMETERS_RECORD
+from dpc_ros.bag.metadata import MACHINE_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, Target, read_run
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
 __all__ = [
+    'MACHINE_RECORD',
     'PARAMETERS_RECORD',
     'BagError',
     'BagWriter',

@@ -16,6 +16,7 @@ from dpc_ros.files import replacing
 FILE_NAME = 'metadata.yaml'
 FORMAT_VERSION = 9
 PARAMETERS_RECORD = 'dpc_ros.parameters'  # of the record that keeps the nodes' parameter file
+MACHINE_RECORD = 'dpc_ros.machine'  # of what the results depend on, by name
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content
 
 

@@ -1,5 +1,6 @@
 """Control of the body through its latent coordinates."""
 
+from dpc_ros.control.answers import Answers
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
 from dpc_ros.control.equilibrium import (
     EquilibriumError,
@@ -10,6 +11,7 @@ from dpc_ros.control.equilibrium import (
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.observer import LatentObserver, ObservedLaw, ObserverSettings
+from dpc_ros.control.online import OnlineController, OnlineEncoder
 from dpc_ros.control.registry import LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
@@ -23,6 +25,7 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'Answers',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',
@@ -33,6 +36,8 @@ __all__ = [
     'LawSettings',
     'ObservedLaw',
     'ObserverSettings',
+    'OnlineController',
+    'OnlineEncoder',
     'PaperLaw',
     'QuadraticRegulator',
     'ReducedEquilibriumLaw',

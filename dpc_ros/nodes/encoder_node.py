@@ -9,9 +9,7 @@ import numpy as np
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
-from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.network import load_network
-from dpc_ros.nodes.answers import Answers
+from dpc_ros.control import Answers, OnlineEncoder
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
@@ -29,22 +27,16 @@ class EncoderNode(LoopNode):
         super().__init__('encoder', context)
 
     def configure(self) -> None:
-        network = load_network(self.settings['network'])
-        checkpoint = load_checkpoint(self.settings['checkpoint'])
-        checkpoint.check_network(network)
-        self._autoencoder = with_encoder(
-            checkpoint.autoencoder(),
-            self.settings['encoder'],
-            self.settings['projection_iterations'],
-        )
+        self._encoder = OnlineEncoder(self.settings)
+        network, checkpoint = self._encoder.network, self._encoder.checkpoint
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
-        self._names = latent_names(self._autoencoder.latent_size)
+        self._names = latent_names(self._encoder.autoencoder.latent_size)
         self._answers = Answers()
-        self._last_latent: np.ndarray | None = None
         rest = network.rest_configuration
-        self._autoencoder.encoder_jacobian_vector_product(rest, np.zeros_like(rest))  # warm up
+        self._encoder.encode(rest, np.zeros_like(rest))  # warm up
+        self._encoder.restart()
         self._latent_state = self.create_output('latent_state')
         self.create_input('configuration', self._encode)
 
@@ -63,11 +55,8 @@ class EncoderNode(LoopNode):
         answer = self._answers.repeated(stamp, message)
         if answer is None:
             if self._answers.starts_epoch(stamp):
-                self._last_latent = None
-            latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
-                configuration, velocity, self._last_latent
-            )
-            self._last_latent = latent
+                self._encoder.restart()
+            latent, latent_velocity = self._encoder.encode(configuration, velocity)
             answer = state_message(
                 message.header.stamp, self._identifier, latent, latent_velocity, self._names
             )

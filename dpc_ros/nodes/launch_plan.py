@@ -12,7 +12,7 @@ import yaml
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
-from dpc_ros.nodes.parameters import ParameterError, declarations
+from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
@@ -104,7 +104,9 @@ def make_plan(
         raise ParameterError(f'namespace {namespace!r}: {str(error).splitlines()[0]}') from error
     if folder.exists():
         raise FileExistsError(f'{folder} exists already: choose another --output')
-    sections = _read_sections(config)
+    if not config.is_file():
+        raise FileNotFoundError(f'no parameter file {config}')
+    sections = read_sections(config.read_text(errors='replace'), str(config))
     nodes = ((RECORDER,) if record else ()) + LOOP
     _check_known(config, sections, overrides)
     folder = folder.resolve()
@@ -124,15 +126,7 @@ def make_plan(
         }
         for node in nodes
     }
-    parameters: dict[str, dict[str, Any]] = {}
-    for node in nodes:
-        parameters[node] = {}
-        for name, declaration in declarations(node).items():
-            try:
-                value = given[node].get(name, declaration.default)
-                parameters[node][name] = declaration.check(value)
-            except ParameterError as error:
-                raise ParameterError(f'{node}: {error}') from error
+    parameters = {node: node_parameters(node, given[node]) for node in nodes}
     recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in given[node]:
@@ -140,24 +134,6 @@ def make_plan(
             readers += [RECORDER] * (output in recorded) + [LAUNCHER] * (output in MONITORED)
             parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
-
-
-def _read_sections(config: Path) -> dict[str, dict[str, Any]]:
-    if not config.is_file():
-        raise FileNotFoundError(f'no parameter file {config}')
-    try:
-        content = yaml.safe_load(config.read_text()) or {}
-        return {
-            section.removeprefix('/**/').lstrip('/') if section != '/**' else section: dict(
-                entry['ros__parameters']
-            )
-            for section, entry in content.items()
-        }
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f'{config}: expected a ROS 2 parameter file (node: ros__parameters: …), '
-            f'but {type(error).__name__}: {error}'
-        ) from error
 
 
 def _check_known(

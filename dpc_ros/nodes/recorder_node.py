@@ -13,7 +13,8 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile as RclpyQoS
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from dpc_ros.bag import PARAMETERS_RECORD, BagWriter, QosProfile, Topic
+from dpc_ros.bag import MACHINE_RECORD, PARAMETERS_RECORD, BagWriter, QosProfile, Topic
+from dpc_ros.machine import describe_machine
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.message_definition import message_definition, message_type_name
 from dpc_ros.nodes.topics import TOPICS
@@ -44,6 +45,7 @@ class RecorderNode(LoopNode):
             ros_distro=os.environ.get('ROS_DISTRO', 'jazzy'),
             chunk_size=settings['chunk_size'],
         )
+        self._writer.add_metadata(MACHINE_RECORD, describe_machine())
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
         for topic in settings['topics']:
