@@ -10,9 +10,11 @@ from dpc_ros.bag.mcap_file import (
     read_contents,
     read_messages,
     read_raw,
+    read_topics,
 )
 from dpc_ros.bag.metadata import MACHINE_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, Target, read_run
+from dpc_ros.bag.signals import Deviation
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
@@ -24,6 +26,7 @@ __all__ = [
     'BagWriter',
     'Contents',
     'Convergence',
+    'Deviation',
     'Energy',
     'Message',
     'QosProfile',
@@ -38,6 +41,7 @@ __all__ = [
     'read_messages',
     'read_raw',
     'read_run',
+    'read_topics',
     'summary',
     'table',
 ]

@@ -121,6 +121,41 @@ def qos_text(profiles: tuple[QosProfile, ...]) -> str:
     return yaml.safe_dump([qos_content(profile) for profile in profiles], sort_keys=False).strip()
 
 
+def qos_profiles(text: str) -> tuple[QosProfile, ...]:
+    """Return the profiles of the YAML that rosbag2 keeps with a channel, of any of its versions.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return tuple(_profile(content) for content in yaml.safe_load(text) or ())
+    except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:
+        raise ValueError(f'expected profiles as rosbag2 writes them, got {text!r}') from error
+
+
+def _profile(content: dict[str, Any]) -> QosProfile:
+    policies = {
+        # Before format version 9 policies were numbers.
+        policy: words[content[policy]] if isinstance(content[policy], int) else content[policy]
+        for policy, words in _POLICIES.items()
+    }
+    durations = {
+        name: min(_nanoseconds(content[name.removesuffix('_ns')]), INFINITE_NS)
+        for name in _DURATIONS
+    }
+    convention = content['avoid_ros_namespace_conventions']
+    return QosProfile(
+        depth=content['depth'],
+        avoid_ros_namespace_conventions=convention,
+        **policies,
+        **durations,
+    )
+
+
+def _nanoseconds(duration: dict[str, int]) -> int:
+    return duration['sec'] * NANOSECONDS + duration['nsec']
+
+
 def _duration(nanoseconds: int) -> dict[str, int]:
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return {'sec': seconds, 'nsec': rest}
