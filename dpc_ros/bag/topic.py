@@ -134,12 +134,12 @@ def qos_profiles(text: str) -> tuple[QosProfile, ...]:
 
 
 def _profile(content: dict[str, Any]) -> QosProfile:
-    policies = {
+    policies: dict[str, Any] = {
         # Before format version 9 policies were numbers.
         policy: words[content[policy]] if isinstance(content[policy], int) else content[policy]
         for policy, words in _POLICIES.items()
     }
-    durations = {
+    durations: dict[str, Any] = {
         name: min(_nanoseconds(content[name.removesuffix('_ns')]), INFINITE_NS)
         for name in _DURATIONS
     }

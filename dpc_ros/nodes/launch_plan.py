@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,15 @@ class LaunchPlan:
         parameters: of each node that is started, every value given explicitly.
         folder: of the run: parameters, logs of the nodes, bag, figure.
         namespace: of all nodes and topics.
+        leader: kind of the node whose end is the end of the run.
+        remappings: of each kind of node, `from:=to`.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
     folder: Path
     namespace: str
+    leader: str = 'simulator'
+    remappings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -45,7 +49,7 @@ class LaunchPlan:
     @property
     def duration(self) -> float:
         """Simulated time of the run [s], infinite where it has no end."""
-        return self.parameters['simulator']['duration'] or math.inf
+        return self.parameters[self.leader]['duration'] or math.inf
 
     @property
     def parameters_file(self) -> Path:
@@ -70,9 +74,11 @@ class LaunchPlan:
         }
         self.parameters_file.write_text(yaml.safe_dump(content, sort_keys=False))
 
-    def ros_arguments(self) -> list[str]:
-        """Return the arguments that hand the parameters to a process."""
+    def ros_arguments(self, node: str = '') -> list[str]:
+        """Return the arguments that hand parameters and remappings to the process of a node."""
         arguments = ['--ros-args', '--params-file', str(self.parameters_file)]
+        for remapping in self.remappings.get(node, ()):
+            arguments += ['-r', remapping]
         return [*arguments, '-r', f'__ns:={self.namespace}'] if self.namespace != '/' else arguments
 
 

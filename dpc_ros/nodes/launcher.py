@@ -69,9 +69,9 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     Returns:
         exit code: 0, that of the node that failed, or 130 after Ctrl-C.
     """
-    arguments = plan.ros_arguments() if composed else _namespace_arguments(plan)
+    arguments = plan.ros_arguments() if composed else namespace_arguments(plan)
     with StopRequest(arguments) as stop:
-        run = _run_composed if composed else _run_processes
+        run = _run_composed if composed else run_processes
         failure, code = run(plan, stop)
         interrupted = bool(stop)
     if failure:
@@ -81,7 +81,8 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     return _report(plan)
 
 
-def _run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+def run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+    """Run each node of a plan in a process; return why one failed, if so, and the exit code."""
     executor = make_executor('kept_wait_set', context=stop.context)
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
@@ -165,7 +166,8 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return overrides
 
 
-def _namespace_arguments(plan: LaunchPlan) -> list[str]:
+def namespace_arguments(plan: LaunchPlan) -> list[str]:
+    """Return the ROS arguments of a process that is in the namespace of a plan, and no more."""
     if plan.namespace == '/':
         return []
     return ['--ros-args', '-r', f'__ns:={plan.namespace}']
