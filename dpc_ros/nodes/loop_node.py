@@ -157,7 +157,7 @@ class LoopNode(LifecycleNode):
     def matched(self, *publishers: Publisher) -> bool:
         """Return whether the nodes that publishers are to wait for were all subscribed, once.
 
-        A node that is expected as `<topic>:<name>` must be subscribed to that topic, one that is
+        A node that is expected as `<name>@<topic>` must be subscribed to that topic, one that is
         expected by name to any. Their endpoints are known from the graph; a publisher is matched
         with all that it can reach when it has as many subscriptions as there are endpoints that
         fit it.
@@ -193,8 +193,8 @@ class LoopNode(LifecycleNode):
         ]
 
     def _is_among(self, expected: str, readers: Mapping[str, list[str]]) -> bool:
-        topic, colon, name = expected.rpartition(':')
-        if colon:
+        name, at, topic = expected.partition('@')
+        if at:
             return name in readers.get(self.resolve_topic_name(topic), ())
         return any(name in names for names in readers.values())
 

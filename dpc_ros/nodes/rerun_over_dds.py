@@ -80,7 +80,7 @@ def rerun_plan(
             'time_mode': 'lockstep',
             'startup_timeout': _STARTUP_TIMEOUT,
             'expected_subscribers': [
-                f'{topic}:{reader}'
+                f'{reader}@{topic}'
                 for topic, readers in zip(
                     topics, (['encoder', RECORDER], ['controller', RECORDER]), strict=False
                 )
