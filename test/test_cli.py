@@ -26,7 +26,7 @@ COMMANDS = [
     'paper',
     'bag',
 ]
-BAG_COMMANDS = ['converge']
+BAG_COMMANDS = ['converge', 'rerun']
 
 
 @pytest.fixture

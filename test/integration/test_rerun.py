@@ -6,43 +6,35 @@ import sys
 
 import pytest
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.bag.rerun import rerun
 from dpc_ros.bag.rerun_table import table
 from dpc_ros.control import load_target
 from dpc_ros.network import load_network
 from dpc_ros.nodes.messages import from_stamp, target_message
-from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
+from dpc_ros.nodes.topics import IN_FORCE_QOS, TARGET_QOS
 
 NETWORK = load_network('paper_2')
-FIRST_CHANGE = 100_000_000  # ns
-SECOND = 500_000_000  # ns, from when it is sent until it counts
+STEPS = 200
+CHANGE = 10  # steps before the first change of the target
+LATER = 500_000_000  # ns, from the first change to the second
 
 
 @pytest.fixture
 def changing_run(domain, observer, plan):
-    """Return a function that records a run whose target changes twice and returns plan and stamps.
+    """Return a function that records a run whose target changes twice and returns its plan.
 
-    The body stands still while a target is on its way, so that no step depends on who is faster;
-    from which state on the first one counts is nevertheless up to the controller.
+    The body stands still while a target is on its way: the first change counts at once, whenever
+    that is, the second from a stamp on.
     """
 
     def run(**controller):
         made = plan(
-            simulator={
-                'duration': 3.0,
-                'expected_subscribers': ['encoder', 'recorder', 'observer'],
-            },
+            simulator={'duration': STEPS * 0.005},
             controller={'target': 'simulation:4@100', **controller},
         )
-        node, reached, announced = observer.node, [], []
-        node.create_subscription(
-            JointState,
-            'configuration',
-            lambda message: reached.append(from_stamp(message.header.stamp)),
-            LOOP_QOS,
-        )
+        node, announced = observer.node, []
         node.create_subscription(
             JointState,
             'target_in_force',
@@ -51,39 +43,43 @@ def changing_run(domain, observer, plan):
         )
         targets = node.create_publisher(JointState, 'target', TARGET_QOS)
         pause = node.create_client(SetBool, '/simulator/pause')
-        nodes = {
-            kind: domain.start_node(kind, made)
-            for kind in ('recorder', 'simulator', 'encoder', 'controller')
-        }
+        step = node.create_client(Trigger, '/simulator/step')
 
-        def hold(held):
-            observer.wait(pause.service_is_ready, 'the simulator')
-            future = pause.call_async(SetBool.Request(data=held))
-            observer.wait(future.done, 'an answer of pause')
+        def call(client, request):
+            observer.wait(client.service_is_ready, 'the simulator')
+            future = client.call_async(request)
+            observer.wait(future.done, 'its answer')
+            return future.result().success
+
+        def take_step():  # refused until the state before has been answered
+            observer.wait(lambda: call(step, Trigger.Request()), 'a step')
 
         def send(specification, stamp):
-            hold(True)
-            # Recorder and controller.
-            observer.wait(lambda: targets.get_subscription_count() == 2, 'who reads targets')
+            observer.wait(lambda: targets.get_subscription_count() == 2, 'recorder and controller')
             target = load_target(specification, NETWORK)
             targets.publish(target_message(target, NETWORK.identifier, stamp))
-            observer.wait(lambda: targets.wait_for_all_acked(), 'that they have it')
-            hold(False)
+            observer.wait(targets.wait_for_all_acked, 'that they have it')
 
-        observer.wait(lambda: reached and reached[-1] >= FIRST_CHANGE, 'the first change')
+        nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', 'simulator')}
+        assert call(pause, SetBool.Request(data=True))
+        nodes |= {kind: domain.start_node(kind, made) for kind in ('encoder', 'controller')}
+        for _ in range(CHANGE):
+            take_step()
         send('simulation:2@60', 0)
+        take_step()
         observer.wait(lambda: len(announced) == 2, 'the new target in force')
-        later = announced[-1] + SECOND
+        later = announced[-1] + LATER
         send('rest', later)
+        assert call(pause, SetBool.Request(data=False))
         observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
+        observer.wait(lambda: len(announced) == 3, 'the last target in force')
         for kind in ('simulator', 'encoder', 'controller', 'recorder'):
             code, output = domain.stop(nodes[kind])
             assert code == 0, output
-        observer.wait(lambda: len(announced) == 3, 'the last target in force')
         assert announced[0] == 0
-        assert announced[1] > FIRST_CHANGE
+        assert announced[1] >= CHANGE * 5_000_000
         assert announced[2] == later
-        return made, announced
+        return made
 
     return run
 
@@ -99,11 +95,11 @@ def dpc(domain, *arguments):
 
 
 def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_run, tmp_path):
-    made, _ = changing_run(integral_gain=0.5, integral_delay=0.2)
+    made = changing_run(integral_gain=0.5, integral_delay=0.2)
     result = rerun(made.bag)
     assert result.is_exact, result.reason
     assert result.is_identical, table(result)
-    assert {each.stamps for each in result.deviations} == {601}
+    assert {each.stamps for each in result.deviations} == {STEPS + 1}
 
     done = dpc(domain, str(made.bag), '--over-dds', '--output', str(tmp_path / 'again'))
     assert done.returncode == 0, done.stdout + done.stderr
@@ -114,13 +110,13 @@ def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_r
 
 
 def test_a_changed_gain_is_found_where_it_first_acts(domain, changing_run):
-    made, _ = changing_run(law='reduced_equilibrium')
+    made = changing_run(law='reduced_equilibrium')
     assert rerun(made.bag).is_identical
     done = dpc(domain, str(made.bag), '--set', 'controller.derivative_gain=1.001')
     assert done.returncode == 1, done.stdout + done.stderr
     rows = dict(re.findall(r'^(latent|latent_velocity|force) +(.*)$', done.stdout, re.M))
-    assert rows['latent'].split()[:3] == ['601', '0', '0']
-    assert rows['force'].split()[:2] == ['601', '0']
+    assert rows['latent'].split()[:3] == [str(STEPS + 1), '0', '0']
+    assert rows['force'].split()[:2] == [str(STEPS + 1), '0']
     # At rest there is no velocity that the gain could act on: the first state gives the same force.
     assert rows['force'].split()[3] == '0.005'
     assert 'DIFFERENT' in done.stdout
