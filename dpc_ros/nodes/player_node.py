@@ -107,15 +107,16 @@ class PlayerNode(LoopNode):
 
     def _choose(self, recorded: dict[str, LoggedTopic]) -> dict[str, LoggedTopic]:
         answers = {self._in_namespace(name) for name in _ANSWERS if self._lockstep}
-        replaced = {_CLOCK} if self.settings['publish_clock'] else set()
+        made = {_CLOCK} if self.settings['publish_clock'] else set()  # here, or by the controller
+        made |= {self._in_namespace('control_force')} & answers
         chosen = [self._in_namespace(name) for name in self.settings['topics']]
         if not chosen:
-            chosen = [name for name in recorded if name not in answers | replaced]
+            chosen = [name for name in recorded if name not in answers | made]
         for name in chosen:
             self._require(name, recorded, 'it is to be replayed')
-            if name in replaced or name == self._in_namespace('control_force') in answers:
+            if name in made:
                 raise ValueError(
-                    f'topics: {name} is not replayed where publish_clock or lockstep asks for '
+                    f'topics: {name} can not be replayed where publish_clock or lockstep asks for '
                     'a new one: leave it out'
                 )
         return {name: recorded[name] for name in chosen}

@@ -230,7 +230,7 @@ def test_a_definition_with_other_fields_is_refused():
         text.replace('float64 x\nfloat64 y', 'float64 y\nfloat64 x'),
         text.replace('nanosec', 'microsec'),
     ):
-        with pytest.raises(ValueError, match='recorded with the fields .* installed'):
+        with pytest.raises(ValueError, match=r'recorded with the fields .* installed'):
             check_definition(WrenchStamped, changed)
 
 
