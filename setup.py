@@ -66,6 +66,7 @@ setup(
             'ros-jazzy-rmw-fastrtps-cpp',
             'ros-jazzy-rosgraph-msgs',
         ],
+        'parquet': ['pyarrow'],
         'selection': ['ray[tune]'],
         'test': [
             'beartype',
@@ -75,6 +76,7 @@ setup(
             'hypothesis',
             'mypy',
             'psutil',
+            'pyarrow',
             'pytest',
             'pytest-timeout',
             'ray[tune]',

@@ -16,6 +16,38 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     """Give the parser of `dpc bag` its commands."""
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
 
+    command = commands.add_parser('info', help=info.__doc__, description=info.__doc__)
+    command.set_defaults(command=info)
+    command.add_argument('bag', help='folder or MCAP file of the log')
+
+    command = commands.add_parser('compare', help=compare.__doc__, description=compare.__doc__)
+    command.set_defaults(command=compare)
+    command.add_argument('first', help='folder or MCAP file of a log')
+    command.add_argument('second', help='of the log to hold against it')
+    command.add_argument(
+        '--tolerance',
+        type=float,
+        default=0.0,
+        metavar='REL',
+        help='deviation of a number that counts as none, relative to the largest magnitude of its '
+        'field in the first log; default 0',
+    )
+
+    command = commands.add_parser('export', help=export.__doc__, description=export.__doc__)
+    command.set_defaults(command=export)
+    command.add_argument('bag', help='folder or MCAP file of the log')
+    command.add_argument(
+        'output',
+        help='<name>.csv or <name>.parquet, a folder with a file for each topic, '
+        'or <name>.npz; must be new',
+    )
+    command.add_argument('--network', help='that names the coordinates; default the one logged')
+
+    command = commands.add_parser('repair', help=repair.__doc__, description=repair.__doc__)
+    command.set_defaults(command=repair)
+    command.add_argument('bag', help='folder or MCAP file of the log, left as it is')
+    command.add_argument('output', help='folder (or .mcap file for a file) to write; must be new')
+
     command = commands.add_parser('converge', help=converge.__doc__, description=converge.__doc__)
     command.set_defaults(command=converge)
     command.add_argument('bag', help='folder or MCAP file of the log')
@@ -25,6 +57,54 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     command.add_argument('--results', help='JSON to write the table to, as in docs/results')
     command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
     add_rerun_command(commands)
+
+
+def info(options: argparse.Namespace) -> None:
+    """Show what a log holds: topics, rates, gaps, losses, models, records, files."""
+    from dpc_ros.bag.information import inform, information_table
+
+    print(information_table(inform(options.bag, progress=True)))
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Show where two logs differ; exit code 1 where they do."""
+    from dpc_ros.bag.comparison import compare as hold_against
+    from dpc_ros.bag.comparison_table import comparison_table
+
+    found = hold_against(options.first, options.second, options.tolerance, progress=True)
+    print(comparison_table(found))
+    print('\nequal' if found.is_equal else '\nDIFFERENT')
+    return 0 if found.is_equal else 1
+
+
+def export(options: argparse.Namespace) -> None:
+    """Write the topics of a log as tables: CSV, NPZ or Parquet."""
+    from dpc_ros.bag.export import export as write
+
+    for line in write(options.bag, options.output, options.network, progress=True):
+        print(line)
+
+
+def repair(options: argparse.Namespace) -> int | None:
+    """Write all that can be read of a log that was cut off or damaged into a new one."""
+    from dpc_ros.bag.repair import NothingReadableError
+    from dpc_ros.bag.repair import repair as mend
+
+    try:
+        files = mend(options.bag, options.output, progress=True)
+    except NothingReadableError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return 1
+    for file in files:
+        kept = f'{file.messages} messages in {file.chunks} chunks' if file.is_kept else 'left out'
+        whole = '' if file.losses else ', whole'
+        print(f'{file.name}' + (f': {kept} of {file.size} bytes{whole}' if file.size else ''))
+        for loss in file.losses:
+            print(f'  lost      {loss}')
+    if not any(file.losses for file in files):
+        print(f'nothing was wrong with {options.bag}: the new one is a copy')
+    print(f'bag         {options.output}, read back and found whole')
+    return None
 
 
 def converge(options: argparse.Namespace) -> None:

@@ -1,8 +1,9 @@
-"""Files that are written whole or not at all."""
+"""Files and folders that are written whole or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -33,4 +34,30 @@ def replacing(path: str | Path) -> Iterator[Path]:
         if isinstance(error, OSError):
             reason = error.strerror or error
             raise OSError(f"{path} can't be written ({reason}): name another place") from error
+        raise
+
+
+@contextmanager
+def new_folder(path: str | Path) -> Iterator[Path]:
+    """Give a partial folder beside a path where nothing is, which takes its place at the end.
+
+    When anything is raised meanwhile, Ctrl-C included, the partial folder goes.
+
+    Raises:
+        OSError: something is at the path, or the folder can't be made.
+    """
+    path = Path(path)
+    partial = path.parent / f'{path.name}.partial'
+    try:
+        if os.path.lexists(path):
+            raise FileExistsError('something stands there')
+        partial.mkdir(parents=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OSError(f"{path} can't be written ({reason}): name another place") from error
+    try:
+        yield partial
+        partial.rename(path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
         raise

@@ -28,8 +28,8 @@ def write_results(
         seed: of what was random, none where nothing was.
     """
     content = {
-        'command': ' '.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        'commit': _commit(),
+        'command': command_line(),
+        'commit': source_commit(),
         'created': datetime.datetime.now(datetime.timezone.utc).isoformat(timespec='seconds'),
         'machine': f'{platform.machine()}, {os.cpu_count()} cores, Python '
         f'{platform.python_version()}, dpc_ros {__version__}',
@@ -49,11 +49,12 @@ def read_results(path: str | Path) -> list[dict[str, Any]]:
     return json.loads(Path(path).read_text())['rows']
 
 
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def command_line() -> str:
+    """Return the command that this process runs, without the folder of the program."""
+    return ' '.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
-def _commit() -> str:
+def source_commit() -> str:
     """Return the commit of the source tree, else the version.
 
     It is marked as dirty where files differ from it, but for those that commands write: docs.
@@ -68,3 +69,7 @@ def _commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return f'dpc_ros {__version__}, no checkout'
     return commit.strip() + ('-dirty' if changed.strip() else '')
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -26,7 +26,7 @@ COMMANDS = [
     'paper',
     'bag',
 ]
-BAG_COMMANDS = ['converge', 'rerun']
+BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'rerun']
 
 
 @pytest.fixture
@@ -138,6 +138,14 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['reach', 'paper_2', '--target', 'rest', '--starts', '0'], 'starts: expected at least 2'),
         (['paper', 'nothing'], "no experiment 'nothing'"),
         (['bag', 'converge', 'nothing'], 'nothing'),
+        (['bag', 'info', 'nothing'], 'nothing: expected the folder of a bag'),
+        (['bag', 'info', 'bad.mcap'], '`dpc bag repair` saves what can be read'),
+        (['bag', 'repair', 'nothing', 'new'], 'nothing: expected the folder of a bag'),
+        (['bag', 'repair', 'bad.mcap', 'bad.yaml'], 'bad.yaml: expected a new place'),
+        (['bag', 'repair', '.', 'new.mcap'], 'new.mcap: expected a folder'),
+        (['bag', 'compare', 'nothing', 'bad.mcap'], 'nothing: expected the folder of a bag'),
+        (['bag', 'export', 'bad.mcap', 'bad.npz'], 'bad.npz: expected a new place'),
+        (['bag', 'export', 'bad.mcap', 'new.txt'], 'expected a name that ends in one of'),
         (['bag', 'converge', 'bad.mcap'], 'bad.mcap'),
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else '',

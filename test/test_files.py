@@ -1,10 +1,10 @@
-"""Files are written whole or not at all, and one that can't be written is named."""
+"""Files and folders are written whole or not at all, and one that can't be written is named."""
 
 import os
 
 import pytest
 
-from dpc_ros.files import replacing
+from dpc_ros.files import new_folder, replacing
 from dpc_ros.results import write_results
 
 
@@ -44,3 +44,24 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path, place):
         write_results(path, [])
     assert str(path) in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ['file.txt', 'folder']
+
+
+@pytest.mark.parametrize('kind', [ValueError, KeyboardInterrupt])
+def test_a_folder_is_there_once_it_is_whole(tmp_path, kind):
+    path = tmp_path / 'new' / 'folder'
+
+    def write(error=None):
+        with new_folder(path) as partial:
+            (partial / 'file.txt').write_text('whole')
+            assert not path.exists()
+            if error is not None:
+                raise error
+
+    with pytest.raises(kind):
+        write(kind())
+    assert list(path.parent.iterdir()) == []
+    write()
+    assert list(path.parent.iterdir()) == [path]
+    with pytest.raises(OSError, match=r"can't be written \(something stands there\)"):
+        write()
+    assert (path / 'file.txt').read_text() == 'whole'

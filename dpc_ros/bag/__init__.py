@@ -12,7 +12,15 @@ from dpc_ros.bag.mcap_file import (
     read_raw,
     read_topics,
 )
-from dpc_ros.bag.metadata import MACHINE_RECORD, PARAMETERS_RECORD
+from dpc_ros.bag.metadata import (
+    COMMAND_RECORD,
+    LOSSES_RECORD,
+    MACHINE_RECORD,
+    MODELS_RECORD,
+    NODE_PARAMETERS_RECORD,
+    PARAMETERS_RECORD,
+    VERSIONS_RECORD,
+)
 from dpc_ros.bag.reader import Run, Target, read_run
 from dpc_ros.bag.signals import Deviation
 from dpc_ros.bag.splits import BagError
@@ -20,8 +28,13 @@ from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
 
 __all__ = [
+    'COMMAND_RECORD',
+    'LOSSES_RECORD',
     'MACHINE_RECORD',
+    'MODELS_RECORD',
+    'NODE_PARAMETERS_RECORD',
     'PARAMETERS_RECORD',
+    'VERSIONS_RECORD',
     'BagError',
     'BagWriter',
     'Contents',

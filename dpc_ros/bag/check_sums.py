@@ -23,6 +23,20 @@ def verify(stream: BinaryIO) -> None:
     Raises:
         ValueError: the file does not end as a complete one does, or a check sum is wrong.
     """
+    data_end = verify_summary(stream)
+    stream.seek(data_end)
+    _, _, expected = _DATA_END.unpack(stream.read(_DATA_END.size))
+    if expected and _sum(stream, 0, data_end) != expected:
+        raise ValueError('the check sum of its data is wrong')
+    stream.seek(0)
+
+
+def verify_summary(stream: BinaryIO) -> int:
+    """Compare the summary of a file with its check sum and return where the data before it end.
+
+    Raises:
+        ValueError: the file does not end as a complete one does, or the check sum is wrong.
+    """
     size = stream.seek(0, os.SEEK_END)
     footer_start = size - len(MAGIC) - _FOOTER.size
     if footer_start < len(MAGIC):
@@ -37,12 +51,7 @@ def verify(stream: BinaryIO) -> None:
     found = _sum(stream, summary_start, footer_start)
     if expected and zlib.crc32(footer[:-_CHECK_SUM_SIZE], found) != expected:
         raise ValueError('the check sum of its summary is wrong')
-    data_end = summary_start - _DATA_END.size
-    stream.seek(data_end)
-    _, _, expected = _DATA_END.unpack(stream.read(_DATA_END.size))
-    if expected and _sum(stream, 0, data_end) != expected:
-        raise ValueError('the check sum of its data is wrong')
-    stream.seek(0)
+    return summary_start - _DATA_END.size
 
 
 def _sum(stream: BinaryIO, start: int, end: int) -> int:

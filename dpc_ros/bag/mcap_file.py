@@ -21,10 +21,10 @@ from zstandard import ZstdError
 from dpc_ros.bag.check_sums import MAGIC, verify
 from dpc_ros.bag.metadata import RECORD_NAME
 from dpc_ros.bag.splits import BagError, find_files
-from dpc_ros.bag.topic import Topic, qos_profiles
+from dpc_ros.bag.topic import Topic, offered_profiles
 
 # What the readers raise on a damaged file; a wrong check sum is a ValueError.
-_DAMAGE = (
+DAMAGE = (
     McapError,
     ValueError,
     LookupError,
@@ -61,6 +61,8 @@ class Contents:
     Attributes:
         files: the MCAP files, in the order of the recording.
         types: type of each topic, `sensor_msgs/msg/JointState`.
+        definitions: text of the message definition of each topic, empty where it is not there.
+        publishers: number of publishers whose offers each topic names, 0 where it does not say.
         messages: number of messages of each topic.
         metadata: metadata records by name, without rosbag2's own; of two of one name the later
             one overwrites single keys of the earlier.
@@ -71,6 +73,8 @@ class Contents:
 
     files: tuple[Path, ...]
     types: dict[str, str]
+    definitions: dict[str, str]
+    publishers: dict[str, int]
     messages: dict[str, int]
     metadata: dict[str, dict[str, str]]
     attachments: tuple[Attachment, ...]
@@ -131,6 +135,8 @@ def read_contents(path: str | Path) -> Contents:
     """
     files = find_files(path)
     types: dict[str, str] = {}
+    definitions: dict[str, str] = {}
+    publishers: dict[str, int] = {}
     messages: dict[str, int] = {}
     metadata: dict[str, dict[str, str]] = {}
     attachments: list[Attachment] = []
@@ -145,6 +151,9 @@ def read_contents(path: str | Path) -> Contents:
                 messages[channel.topic] = messages.get(channel.topic, 0) + count
                 schema = summary.schemas.get(channel.schema_id)
                 types[channel.topic] = schema.name if schema else ''
+                definitions[channel.topic] = schema.data.decode(errors='replace') if schema else ''
+                offers = len(offered_profiles(channel.metadata))
+                publishers[channel.topic] = max(publishers.get(channel.topic, 0), offers)
             for record in reader.iter_metadata():
                 if record.name != RECORD_NAME:
                     metadata.setdefault(record.name, {}).update(record.metadata)
@@ -155,6 +164,8 @@ def read_contents(path: str | Path) -> Contents:
     return Contents(
         files,
         types,
+        definitions,
+        publishers,
         messages,
         metadata,
         tuple(attachments),
@@ -194,7 +205,7 @@ def _topic(file: Path, schema: Schema | None, channel: Channel) -> Topic:
             name=channel.topic,
             type_name=schema.name,
             definition=schema.data.decode(),
-            offered_qos_profiles=qos_profiles(channel.metadata.get('offered_qos_profiles', '')),
+            offered_qos_profiles=offered_profiles(channel.metadata),
             type_hash=channel.metadata.get('topic_type_hash', ''),
         )
     except ValueError as error:
@@ -238,7 +249,7 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             content = decode(record.data)
         except BagError:
             raise
-        except _DAMAGE as error:
+        except DAMAGE as error:
             raise BagError(
                 f'{file}: a message of {channel.topic} at log time {record.log_time} ns is no '
                 f'{type_name}: {reason(error)}'
@@ -309,7 +320,7 @@ def _reader(file: Path) -> Iterator[McapReader]:
             yield make_reader(stream, validate_crcs=True)
         except BagError:
             raise
-        except (*_DAMAGE, OSError) as error:
+        except (*DAMAGE, OSError) as error:
             raise BagError(
                 f'{file}: expected a complete MCAP file, but it is cut off or damaged '
                 f'({reason(error)}): `dpc bag repair` saves what can be read of it'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,39 +122,25 @@ def qos_text(profiles: tuple[QosProfile, ...]) -> str:
     return yaml.safe_dump([qos_content(profile) for profile in profiles], sort_keys=False).strip()
 
 
-def qos_profiles(text: str) -> tuple[QosProfile, ...]:
-    """Return the profiles of the YAML that rosbag2 keeps with a channel, of any of its versions.
+def offered_profiles(channel_metadata: Mapping[str, str]) -> tuple[QosProfile, ...]:
+    """Return the profiles that the channel of an MCAP file names.
 
-    Raises:
-        ValueError: it is none.
+    They are empty where there are none that rosbag2 wrote since its format version 9.
     """
+    text = channel_metadata.get('offered_qos_profiles', '')
     try:
         return tuple(_profile(content) for content in yaml.safe_load(text) or ())
-    except (yaml.YAMLError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(f'expected profiles as rosbag2 writes them, got {text!r}') from error
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError):
+        return ()
 
 
 def _profile(content: dict[str, Any]) -> QosProfile:
-    policies: dict[str, Any] = {
-        # Before format version 9 policies were numbers.
-        policy: words[content[policy]] if isinstance(content[policy], int) else content[policy]
-        for policy, words in _POLICIES.items()
+    durations = {
+        f'{key}_ns': content[key]['sec'] * NANOSECONDS + content[key]['nsec']
+        for key in ('deadline', 'lifespan', 'liveliness_lease_duration')
     }
-    durations: dict[str, Any] = {
-        name: min(_nanoseconds(content[name.removesuffix('_ns')]), INFINITE_NS)
-        for name in _DURATIONS
-    }
-    convention = content['avoid_ros_namespace_conventions']
-    return QosProfile(
-        depth=content['depth'],
-        avoid_ros_namespace_conventions=convention,
-        **policies,
-        **durations,
-    )
-
-
-def _nanoseconds(duration: dict[str, int]) -> int:
-    return duration['sec'] * NANOSECONDS + duration['nsec']
+    words = {key: content[key] for key in (*_POLICIES, 'depth', 'avoid_ros_namespace_conventions')}
+    return QosProfile(**words, **durations)
 
 
 def _duration(nanoseconds: int) -> dict[str, int]:

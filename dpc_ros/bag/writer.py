@@ -1,46 +1,51 @@
-"""Writing a rosbag2 bag: a folder with one MCAP file and `metadata.yaml`."""
+"""Writing a rosbag2 bag: a folder with MCAP files and `metadata.yaml`."""
 
 from __future__ import annotations
 
-import os
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
-from mcap.writer import CompressionType, Writer
-
-from dpc_ros import __version__
+from dpc_ros.bag.file_writer import FileWriter
 from dpc_ros.bag.metadata import (
+    LOSSES_RECORD,
     RECORD_NAME,
-    FileSpan,
+    BagFile,
     bag_content,
-    bag_text,
-    topic_content,
     write_metadata,
 )
-from dpc_ros.bag.topic import Topic, qos_text
+from dpc_ros.bag.topic import Topic
 
-DEFAULT_CHUNK_SIZE = 256 * 1024  # bytes; what a crash of the recorder can lose at most
-
-_LATEST_NS = 2**63 - 1  # ns, the largest time of ROS 2
-_SEQUENCES = 2**32  # MCAP counts messages with 32 bits
+DEFAULT_CHUNK_SIZE = 256 * 1024  # bytes
 
 
 class BagWriter:
     """A rosbag2 bag in the making, MCAP profile `ros2`, chunks compressed with zstd.
 
     Messages come as CDR bytes, as a raw subscription hands them over, and are written as they are.
-    A chunk goes to the file when it is full. `close` finishes the file and writes
-    `metadata.yaml`; as a context manager the writer does so after an error too. One thread at a
-    time may use a writer.
+    A chunk goes to the file when it is full, or by `sync`, which waits until it is on the disk.
+    `close` finishes the file and writes `metadata.yaml`; as a context manager the writer does so
+    after an error too. One thread at a time may use a writer.
+
+    The files are `<folder name>_0.mcap`, `_1.mcap`, …; each has the schemas, the topics so far and
+    all records of keys and values, so that it can be read alone. Attachments stand only once.
+
+    When the disk is full, space that was set aside takes what had come and the end of the file:
+    what was asked for raises, and `close` finishes the bag. Where even that is refused, the last
+    file keeps its complete chunks, has no end, and there is no `metadata.yaml`.
 
     Args:
-        folder: of the bag; it is made, with its parents. The file is `<folder name>_0.mcap`.
+        folder: of the bag; it is made, with its parents.
         ros_distro: name of the ROS distribution.
         chunk_size: bytes of messages that a chunk collects before compression.
+        split_size: bytes at which a file gives way to the next; 0 is never.
+        split_duration_ns: log time [ns] after which a file gives way to the next; 0 is never.
 
     Raises:
         FileExistsError: the folder exists and is not empty, or is a file.
-        ValueError: the chunk size is not positive.
+        ValueError: the chunk size is not positive, or a limit is negative.
+        OSError: the folder or the file can't be made.
     """
 
     def __init__(
@@ -48,9 +53,14 @@ class BagWriter:
         folder: str | Path,
         ros_distro: str = 'jazzy',
         chunk_size: int = DEFAULT_CHUNK_SIZE,
+        split_size: int = 0,
+        split_duration_ns: int = 0,
     ) -> None:
         if chunk_size <= 0:
             raise ValueError(f'chunk_size: expected a number of bytes > 0, got {chunk_size}')
+        for what, limit in (('split_size', split_size), ('split_duration_ns', split_duration_ns)):
+            if limit < 0:
+                raise ValueError(f'{what}: expected 0 or more, got {limit}')
         self.folder = Path(folder).resolve()
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise FileExistsError(
@@ -58,28 +68,25 @@ class BagWriter:
                 'but it holds something: choose another name or remove it'
             )
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.path = self.folder / f'{self.folder.name}_0.mcap'
         self._ros_distro = ros_distro
+        self._chunk_size = chunk_size
+        self._split_size = split_size
+        self._split_duration_ns = split_duration_ns
         self._topics: dict[str, Topic] = {}
-        self._counts: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, tuple[int, str]] = {}
-        self._first_ns = _LATEST_NS
-        self._last_ns = 0
-        self._stream = self.path.open('xb')
-        self._writer = Writer(
-            self._stream,
-            chunk_size=chunk_size,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile='ros2', library=f'dpc_ros {__version__}')
+        self._definitions: dict[str, str] = {}
+        self._records: list[tuple[str, dict[str, str]]] = []
+        self._lost: Counter[str] = Counter()
+        self._complete: list[BagFile] = []
+        self._closed = False
+        self._start_file()
 
     @property
     def message_counts(self) -> dict[str, int]:
         """Number of messages written to each topic."""
-        return dict(self._counts)
+        counts = Counter(dict.fromkeys(self._topics, 0))
+        for file in [*self._complete, *([] if self._file.closed else [self._file.summary])]:
+            counts.update({topic.name: count for topic, count in file.counts.items()})
+        return dict(counts)
 
     def add_topic(self, topic: Topic) -> None:
         """Announce a topic before its first message; the same topic twice is once.
@@ -93,17 +100,12 @@ class BagWriter:
             if self._topics[topic.name] != topic:
                 raise ValueError(f'{topic.name}: the bag already has another topic of this name')
             return
-        self._channels[topic.name] = self._writer.register_channel(
-            topic=topic.name,
-            message_encoding='cdr',
-            schema_id=self._schema(topic),
-            metadata={
-                'offered_qos_profiles': qos_text(topic.offered_qos_profiles),
-                'topic_type_hash': topic.type_hash,
-            },
-        )
+        if self._definitions.setdefault(topic.type_name, topic.definition) != topic.definition:
+            raise ValueError(
+                f'{topic.name}: the bag already has another definition of {topic.type_name}'
+            )
+        self._file.add_topic(topic)
         self._topics[topic.name] = topic
-        self._counts[topic.name] = 0
 
     def write(
         self,
@@ -124,51 +126,79 @@ class BagWriter:
 
         Raises:
             ValueError: the bag is closed, the topic is unknown, or a time is out of range.
+            OSError: the disk is full or refuses.
         """
         self._check_open()
-        if topic_name not in self._channels:
+        if topic_name not in self._topics:
             raise ValueError(
-                f'{topic_name}: expected one of the topics {sorted(self._channels)}: add it first'
+                f'{topic_name}: expected one of the topics {sorted(self._topics)}: add it first'
             )
-        for what, time in (('log time', log_time_ns), ('publish time', publish_time_ns)):
-            if not 0 <= time <= _LATEST_NS:
-                raise ValueError(f'{topic_name}: expected a {what} of 0 to 2⁶³ − 1 ns, got {time}')
-        self._writer.add_message(
-            channel_id=self._channels[topic_name],
-            log_time=log_time_ns,
-            data=cdr,
-            publish_time=publish_time_ns,
-            sequence=sequence % _SEQUENCES,
-        )
-        self._counts[topic_name] += 1
-        self._first_ns = min(self._first_ns, log_time_ns)
-        self._last_ns = max(self._last_ns, log_time_ns)
+        if self._is_full(len(cdr), log_time_ns):
+            self._finish_file()
+            self._start_file()
+        self._file.write(topic_name, cdr, log_time_ns, publish_time_ns, sequence)
 
-    def add_metadata(self, name: str, content: dict[str, str]) -> None:
+    def count_lost(self, topic_name: str, number: int) -> None:
+        """Note messages that never came, 0 to say so; the sums stand at the end of each file."""
+        self._lost[topic_name] += number
+
+    def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
         """Write a record of keys and values about the run.
 
         Raises:
-            ValueError: the bag is closed, the name is rosbag2's own, or a value is no text.
+            ValueError: the bag is closed, the name is one that the writer itself gives, or a value
+                is no text.
+            OSError: the disk is full or refuses.
         """
         self._check_open()
-        if name == RECORD_NAME:
-            raise ValueError(f"metadata: the name {name!r} is rosbag2's own, choose another")
+        if name in (RECORD_NAME, LOSSES_RECORD):
+            owner = "rosbag2's own" if name == RECORD_NAME else 'that of the losses'
+            raise ValueError(f'metadata: the name {name!r} is {owner}, choose another')
         for key, value in content.items():
             if not isinstance(key, str) or not isinstance(value, str):
                 raise ValueError(f'metadata {name}: expected texts, got {key!r}: {value!r}')
-        self._writer.add_metadata(name, content)
+        self._records.append((name, dict(content)))
+        self._file.add_metadata(name, content)
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Write a whole file into the bag.
+
+        Args:
+            name: of the attachment.
+            media_type: of its content, `application/json`.
+            data: its content.
+            time_ns: when it was put in [ns since the epoch].
+
+        Raises:
+            ValueError: the bag is closed.
+            OSError: the disk is full or refuses.
+        """
+        self._check_open()
+        self._file.add_attachment(name, media_type, data, time_ns)
+
+    def sync(self) -> None:
+        """Close the chunk in progress and return when all that was written is on the disk.
+
+        Raises:
+            ValueError: the bag is closed.
+            OSError: the disk is full or refuses.
+        """
+        self._check_open()
+        self._file.sync()
 
     def close(self) -> None:
-        """Finish the MCAP file, then write `metadata.yaml`; a second call does nothing."""
-        if self._stream.closed:
+        """Finish the MCAP file, then write `metadata.yaml`; a second call does nothing.
+
+        Raises:
+            OSError: the disk refuses the end of the file, or `metadata.yaml`.
+        """
+        if self._closed:
             return
-        content = self._content()
-        with self._stream:
-            self._writer.add_metadata(RECORD_NAME, {'serialized_metadata': bag_text(content)})
-            self._writer.finish()
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-        write_metadata(self.folder, content)
+        self._closed = True
+        if not self._file.closed:
+            self._finish_file()
+        if self._complete and self._complete[-1].name == self._file.path.name:
+            write_metadata(self.folder, bag_content(self._complete, self._ros_distro))
 
     def __enter__(self) -> BagWriter:
         return self
@@ -181,36 +211,26 @@ class BagWriter:
     ) -> None:
         self.close()
 
-    def _schema(self, topic: Topic) -> int:
-        if topic.type_name not in self._schemas:
-            number = self._writer.register_schema(
-                name=topic.type_name, encoding='ros2msg', data=topic.definition.encode()
-            )
-            self._schemas[topic.type_name] = number, topic.definition
-        number, definition = self._schemas[topic.type_name]
-        if definition != topic.definition:
-            raise ValueError(
-                f'{topic.name}: the bag already has another definition of {topic.type_name}'
-            )
-        return number
+    def _is_full(self, size: int, log_time_ns: int) -> bool:
+        file = self._file
+        if not file.message_count:
+            return False
+        too_large = 0 < self._split_size < file.size + size
+        return too_large or 0 < self._split_duration_ns <= log_time_ns - file.first_ns
 
-    def _content(self) -> dict:
-        empty = not any(self._counts.values())
-        file = FileSpan(
-            name=self.path.name,
-            message_count=sum(self._counts.values()),
-            start_ns=0 if empty else self._first_ns,
-            end_ns=0 if empty else self._last_ns,
-        )
-        topics = [
-            (
-                topic_content(name, topic.type_name, topic.offered_qos_profiles, topic.type_hash),
-                self._counts[name],
-            )
-            for name, topic in self._topics.items()
-        ]
-        return bag_content([file], topics, self._ros_distro)
+    def _start_file(self) -> None:
+        path = self.folder / f'{self.folder.name}_{len(self._complete)}.mcap'
+        self._file = FileWriter(path, self._chunk_size)
+        for topic in self._topics.values():
+            self._file.add_topic(topic)
+        for name, content in self._records:
+            self._file.add_metadata(name, content)
+
+    def _finish_file(self) -> None:
+        losses = {topic: str(number) for topic, number in sorted(self._lost.items())}
+        if self._file.finish({LOSSES_RECORD: losses} if losses else {}, self._ros_distro):
+            self._complete.append(self._file.summary)
 
     def _check_open(self) -> None:
-        if self._stream.closed:
-            raise ValueError(f'{self.path}: the bag is closed and takes nothing more')
+        if self._file.closed:
+            raise ValueError(f'{self.folder}: the bag is closed and takes nothing more')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -12,18 +13,36 @@ _LATENCY_WINDOW = 1000  # messages
 
 
 class SequenceCounter:
-    """Sees by the numbers that a publisher gives its messages how many never came.
+    """Sees by the numbers that publishers give their messages how many never came.
 
+    A message does not say who of several publishers sent it: its number goes on with the series
+    that it fits. While nothing is lost that is exact; after a loss it may be short, never too much.
     Numbers start anew when another publisher takes over the topic.
     """
 
     def __init__(self) -> None:
-        self._last: int | None = None
+        self._last: list[int] = []  # number of each series, the one silent for longest first
 
-    def gap(self, number: int) -> int:
-        """Take the publication sequence number of a message; return how many it leaves out."""
-        last, self._last = self._last, number
-        return 0 if last is None else max(number - last - 1, 0)
+    def gap(self, number: int, publishers: Callable[[], int] = lambda: 1) -> int:
+        """Return how many messages a number leaves out.
+
+        Args:
+            number: publication sequence number of a message.
+            publishers: gives how many of them the topic has.
+        """
+        last = self._last
+        if number - 1 in last:
+            last.remove(number - 1)
+            last.append(number)
+            return 0
+        behind = max((known for known in last if known < number), default=None)
+        is_crowded = len(last) >= max(publishers(), 1)
+        if behind is not None and is_crowded:
+            last.remove(behind)
+        elif is_crowded:
+            del last[0]
+        last.append(number)
+        return number - behind - 1 if behind is not None and is_crowded else 0
 
 
 class Health:
@@ -35,7 +54,7 @@ class Health:
         self.repeated = 0
         self.saturated = 0  # answers of a controller that the bound on the force has shortened
         self.rejected: Counter[str] = Counter()
-        self.lost = 0
+        self.lost: Counter[str] = Counter()  # messages by topic
         self.warning = ''
         self._processing: list[float] = []
         self._reported = (time.monotonic(), 0)
@@ -57,7 +76,8 @@ class Health:
             'received': self.received,
             'published': self.published,
             'repeated': self.repeated,
-            'lost': self.lost,
+            'lost': self.lost.total(),
+            **{f'lost: {topic}': count for topic, count in self.lost.items()},
             'saturated': self.saturated,
             **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
         }
@@ -66,7 +86,7 @@ class Health:
             values['processing p50 [ms]'] = f'{1e3 * ordered[len(ordered) // 2]:.3f}'
             values['processing max [ms]'] = f'{1e3 * ordered[-1]:.3f}'
         level, message = DiagnosticStatus.OK, state
-        if self.rejected or self.lost or self.warning:
+        if self.rejected or self.lost.total() or self.warning:
             level = DiagnosticStatus.WARN
             message = self.warning or 'messages were rejected or lost'
         return DiagnosticStatus(

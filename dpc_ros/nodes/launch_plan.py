@@ -12,6 +12,7 @@ import yaml
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
+from dpc_ros.nodes.topic_selection import TopicSelection
 from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 
 LOOP = ('simulator', 'encoder', 'controller')
@@ -60,6 +61,12 @@ class LaunchPlan:
     def bag(self) -> Path | None:
         """Folder of the log, none without a recorder."""
         return Path(self.parameters[RECORDER]['bag']) if RECORDER in self.parameters else None
+
+    def records(self, topic: str) -> bool:
+        """Return whether a topic of the loop is in the log."""
+        return RECORDER in self.parameters and _selects(
+            self.parameters[RECORDER], self.namespace, topic
+        )
 
     def write(self) -> None:
         """Make the run's folder with its parameter file.
@@ -133,13 +140,23 @@ def make_plan(
         for node in nodes
     }
     parameters = {node: node_parameters(node, given[node]) for node in nodes}
-    recorded = parameters.get(RECORDER, {}).get('topics', ())
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in given[node]:
             readers = [*declarations(node)['expected_subscribers'].default]
-            readers += [RECORDER] * (output in recorded) + [LAUNCHER] * (output in MONITORED)
+            if RECORDER in nodes and _selects(parameters[RECORDER], namespace, output):
+                readers.append(RECORDER)
+            if output in MONITORED:
+                readers.append(LAUNCHER)
             parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
+
+
+def _selects(recorder: Mapping[str, Any], namespace: str, topic: str) -> bool:
+    try:
+        selection = TopicSelection(recorder['topics'], recorder['exclude'], namespace)
+    except ValueError as error:
+        raise ParameterError(f'{RECORDER}: {error}') from error
+    return selection.selects(f'{namespace.rstrip("/")}/{topic}')
 
 
 def _check_known(

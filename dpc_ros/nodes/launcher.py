@@ -127,7 +127,7 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
 
 
 def _report(plan: LaunchPlan) -> int:
-    if plan.bag is None or 'configuration' not in plan.parameters[RECORDER]['topics']:
+    if not plan.records('configuration'):
         print(f'parameters  {plan.parameters_file}')
         return 0
     try:

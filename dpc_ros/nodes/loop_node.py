@@ -44,6 +44,7 @@ class LoopNode(LifecycleNode):
 
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
+        gathering_s: time [s] for which it may let messages gather, where it is alone in a process.
         kind: which of the nodes it is, and its name where it isn't remapped.
         settings: its parameters by name.
         health: its counts.
@@ -52,6 +53,7 @@ class LoopNode(LifecycleNode):
     """
 
     acts_to_the_end = False
+    gathering_s = 0.0
 
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
@@ -132,11 +134,11 @@ class LoopNode(LifecycleNode):
         self._outputs.append(publisher)
         return publisher
 
-    def create_input(self, topic: str, callback: Callable[..., None], raw: bool = False) -> None:
+    def create_input(self, topic: str, callback: Callable[..., None]) -> None:
         """Subscribe to a topic of the loop; a callback may take the message's info as well."""
         entry = TOPICS[topic]
         self._inputs.append(
-            self.create_subscription(entry.message_type, topic, callback, entry.qos, raw=raw)
+            self.create_subscription(entry.message_type, topic, callback, entry.qos)
         )
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
@@ -151,7 +153,7 @@ class LoopNode(LifecycleNode):
             self.health.warning = f'{topic} has several publishers'
             self.say(f'{topic} has several publishers: stop all but one', problem=True)
         else:
-            self.health.lost += gap
+            self.health.lost[topic] += gap
         return self.active
 
     def matched(self, *publishers: Publisher) -> bool:
@@ -296,7 +298,9 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
 
 
 def _run(node: LoopNode, stop: StopRequest) -> int:
-    executor = make_executor(node.settings['executor'], context=stop.context)
+    executor = make_executor(
+        node.settings['executor'], context=stop.context, gathering_s=node.gathering_s
+    )
     executor.add_node(node)
     single_threaded_algebra()
     try:

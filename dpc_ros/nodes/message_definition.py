@@ -31,6 +31,24 @@ def message_type_name(message_class: type[Any]) -> str:
     return f'{package}/{folder}/{message_class.__name__}'
 
 
+def find_message_class(type_name: str) -> type[Any]:
+    """Return the class of a message type, for example of `sensor_msgs/msg/JointState`.
+
+    Raises:
+        ValueError: it is no message type, or its Python package is not installed.
+    """
+    match = _TYPE_NAME.fullmatch(type_name)
+    try:
+        if match:
+            return getattr(import_module(f'{match["package"]}.msg'), match['name'])
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f'{type_name}: expected a type of an installed package, but {error}: '
+            'install it, or source the workspace that has it'
+        ) from error
+    raise ValueError(f'expected a message type, as sensor_msgs/msg/JointState, got {type_name!r}')
+
+
 def message_definition(message_class: type[Any]) -> str:
     """Return the definition of a message type and of all types that it is made of.
 
@@ -69,7 +87,8 @@ def _own_definition(message_class: type[Any]) -> str:
     for name, idl_type in message_class.get_fields_and_field_types().items():
         element, suffix = _element_and_suffix(idl_type)
         lines.append(f'{element}{suffix} {name}')
-    return ''.join(f'{line}\n' for line in lines)
+    # An empty text would say that the definition is not known.
+    return ''.join(f'{line}\n' for line in lines or ['# no fields'])
 
 
 def _element_and_suffix(idl_type: str) -> tuple[str, str]:
@@ -106,24 +125,6 @@ def _constant_text(value: bool | int | float | str | bytes) -> str:
     if isinstance(value, bytes):
         return str(value[0])
     return repr(value)
-
-
-def find_message_class(type_name: str) -> type[Any]:
-    """Return the class of a message type, for example of `sensor_msgs/msg/JointState`.
-
-    Raises:
-        ValueError: it is no message type, or its Python package is not installed.
-    """
-    match = _TYPE_NAME.fullmatch(type_name)
-    try:
-        if match:
-            return getattr(import_module(f'{match["package"]}.msg'), match['name'])
-    except (ImportError, AttributeError) as error:
-        raise ValueError(
-            f'{type_name}: expected a type of an installed package, but {error}: '
-            'install it, or source the workspace that has it'
-        ) from error
-    raise ValueError(f'expected a message type, as sensor_msgs/msg/JointState, got {type_name!r}')
 
 
 def check_definition(message_class: type[Any], definition: str) -> None:

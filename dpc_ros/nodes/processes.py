@@ -10,7 +10,9 @@ import sys
 import time
 
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+from dpc_ros.nodes.provenance import COMMAND_VARIABLE
 from dpc_ros.nodes.stop import PARENT_VARIABLE
+from dpc_ros.results import command_line
 
 _STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
 _POLL = 0.02  # s
@@ -33,7 +35,12 @@ class NodeProcesses:
         """Start every node, the recorder first."""
         logs = self._plan.folder / 'log'
         logs.mkdir()
-        environment = {**os.environ, PARENT_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1'}
+        environment = {
+            **os.environ,
+            PARENT_VARIABLE: str(os.getpid()),
+            COMMAND_VARIABLE: command_line(),
+            'PYTHONUNBUFFERED': '1',
+        }
         for node in self._plan.nodes:
             command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
             with (logs / f'{node}.log').open('wb') as log:

@@ -1,64 +1,142 @@
-"""Recorder node: the topics of the loop, as they come, into a rosbag2 bag (MCAP)."""
+"""Recorder node: any topics, as they come, into a rosbag2 bag (MCAP) that says what was running."""
 
 from __future__ import annotations
 
 import datetime
-import os
 import sys
 import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import yaml
 from rclpy.context import Context
-from rclpy.qos import QoSProfile as RclpyQoS
-from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
 
-from dpc_ros.bag import MACHINE_RECORD, PARAMETERS_RECORD, BagWriter, QosProfile, Topic
+from dpc_ros.bag import (
+    COMMAND_RECORD,
+    MACHINE_RECORD,
+    MODELS_RECORD,
+    NODE_PARAMETERS_RECORD,
+    PARAMETERS_RECORD,
+    VERSIONS_RECORD,
+    BagWriter,
+    Topic,
+)
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.machine import describe_machine
 from dpc_ros.nodes.loop_node import LoopNode, run_node
-from dpc_ros.nodes.message_definition import message_definition, message_type_name
-from dpc_ros.nodes.topics import TOPICS
+from dpc_ros.nodes.message_definition import find_message_class, message_definition
+from dpc_ros.nodes.message_definition import message_type_name as type_name_of
+from dpc_ros.nodes.node_parameters import NodeParameters
+from dpc_ros.nodes.offers import fitting_profile, hears_any, offered_profiles, type_hash
+from dpc_ros.nodes.provenance import commands, ros_distribution, software_versions
+from dpc_ros.nodes.topic_selection import TopicSelection
+from dpc_ros.nodes.topics import LOOP_QOS, TOPICS
+from dpc_ros.resources import find_resource
 
 _QUIET = 0.2  # s without a message after which nothing more is on its way
+_MODEL_TOPICS = ('configuration', 'latent_state')  # their frame_id is `<name>@<digest>`
+# Parameters that name a file of the run: folder below config/, suffixes of what belongs to it.
+_MODEL_FILES = {
+    'network': ('systems', ('.json',)),
+    'checkpoint': ('checkpoints', ('.json', '.safetensors')),
+}
+_MEDIA_TYPES = {'.json': 'application/json', '.safetensors': 'application/octet-stream'}
+
+
+@dataclass
+class _Recorded:
+    """A topic that is subscribed to."""
+
+    message_type: type[Any]
+    profile: QoSProfile
+    subscription: Subscription
+    publishers: int = 0
+    is_in_bag: bool = False
 
 
 class RecorderNode(LoopNode):
     """Writes raw CDR bytes: nothing is deserialised, nothing is rounded.
 
-    Told to stop, it takes what has been published up to then, and no more.
+    Topics of the loop are subscribed to before anyone publishes them, others as the graph shows
+    them. Told to stop, it takes what has been published up to then, and no more.
     """
 
     acts_to_the_end = True
+    gathering_s = 0.01
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('recorder', context)
         self._writer: BagWriter | None = None
+        self._recorded: dict[str, _Recorded] = {}
+        self._refused: set[str] = set()  # topics that can't be recorded, and have been reported
+        self._attached: set[Path] = set()
+        self._ticks: list[Timer] = []
+        self._questions: NodeParameters | None = None
         self._last_message = time.monotonic()
         self._end_ns: int | None = None  # what is published later is not recorded
 
     def configure(self) -> None:
         settings = self.settings
+        self._selection = TopicSelection(
+            settings['topics'],
+            settings['exclude'],
+            self.get_namespace(),
+            self.resolve_topic_name,
+        )
         parameters_file = settings['parameters_file']
         parameters = Path(parameters_file).read_text() if parameters_file else ''
         self._writer = BagWriter(
             settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
-            ros_distro=os.environ.get('ROS_DISTRO', 'jazzy'),
+            ros_distro=ros_distribution(),
             chunk_size=settings['chunk_size'],
+            split_size=settings['split_size'],
+            split_duration_ns=round(settings['split_duration'] * NANOSECONDS),
         )
         self._writer.add_metadata(MACHINE_RECORD, describe_machine())
+        self._writer.add_metadata(VERSIONS_RECORD, software_versions())
+        self._writer.add_metadata(COMMAND_RECORD, commands())
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
-        for topic in settings['topics']:
-            self.create_input(topic, partial(self._record, topic), raw=True)
+            for section in _sections(parameters_file, parameters):
+                self._attach(section)
+        for topic, entry in TOPICS.items():
+            name = self.resolve_topic_name(topic)
+            if self._selection.selects(name):
+                self._subscribe(name, entry.message_type, entry.qos)
+        self._questions = NodeParameters(self, self._keep_parameters)
+        # Half the interval: a tick may come late, a message may not wait longer than promised.
+        for period, action in (
+            (settings['sync_interval'] / 2, self._sync),
+            (settings['discovery_interval'], self._look_around),
+        ):
+            self._ticks.append(self.create_timer(period, action, clock=self._steady_clock))
+        self._look_around()
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def clean_up(self) -> None:
+        for timer in self._ticks:
+            self.destroy_timer(timer)
+        self._ticks.clear()
+        if self._questions is not None:
+            self._questions.close()
+        for recorded in self._recorded.values():
+            self.destroy_subscription(recorded.subscription)
+        self._recorded.clear()
+        self._refused.clear()
+        self._attached.clear()
         writer, self._writer = self._writer, None
         if writer is not None:
-            try:
+            with self._writing(writer):
                 writer.close()
-            except OSError as error:
-                self.failure = self.failure or f'{writer.folder} can not be finished: {error}'
 
     def is_drained(self) -> bool:
         if self._end_ns is None:
@@ -69,55 +147,170 @@ class RecorderNode(LoopNode):
     def finish(self) -> None:
         if self._writer is not None:
             count = sum(self._writer.message_counts.values())
-            self.get_logger().info(f'recorded {count} messages, {self.health.lost} lost')
+            lost = self.health.lost.total()
+            self.get_logger().info(f'recorded {count} messages, {lost} lost')
 
-    def _record(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+    def _look_around(self) -> None:
+        """Subscribe to topics that have appeared, ask nodes that have."""
+        for name, types in self.get_topic_names_and_types():
+            if name in self._recorded:
+                self._follow_publishers(name, self._recorded[name])
+            elif name not in self._refused and self._selection.selects(name):
+                self._begin(name, types)
+        if self._questions is not None:
+            self._questions.look()
+
+    def _begin(self, name: str, types: list[str]) -> None:
+        try:
+            if len(types) > 1:
+                raise ValueError(f'expected one type of message, got {", ".join(types)}')
+            message_type = find_message_class(types[0])
+            message_definition(message_type)
+        except ValueError as error:
+            self._refused.add(name)
+            self.health.rejected[f'{name}: {error}'] += 1
+            self.say(f'{name} is not recorded: {error}', problem=True)
+            return
+        publishers = self.get_publishers_info_by_topic(name)
+        fitting = fitting_profile(publishers, LOOP_QOS.depth) if publishers else LOOP_QOS
+        self._subscribe(name, message_type, fitting)
+
+    def _follow_publishers(self, name: str, recorded: _Recorded) -> None:
+        """Ask for less where nobody offers what was asked for; rclpy reports who is not heard."""
+        count = self.count_publishers(name)
+        if count == recorded.publishers:
+            return
+        recorded.publishers = count
+        publishers = self.get_publishers_info_by_topic(name)
+        if publishers and not hears_any(recorded.profile, publishers):
+            self.destroy_subscription(recorded.subscription)
+            fitting = fitting_profile(publishers, LOOP_QOS.depth)
+            recorded.profile = fitting
+            recorded.subscription = self._listen(name, recorded.message_type, fitting)
+
+    def _subscribe(self, name: str, message_type: type[Any], offered: QoSProfile) -> None:
+        # Deep on every topic: also one with depth 1 may bring several before they are taken.
+        profile = QoSProfile(
+            depth=LOOP_QOS.depth, reliability=offered.reliability, durability=offered.durability
+        )
+        subscription = self._listen(name, message_type, profile)
+        self._recorded[name] = _Recorded(message_type, profile, subscription)
+
+    def _listen(self, name: str, message_type: type[Any], profile: QoSProfile) -> Subscription:
+        record = partial(self._record, name)
+        return self.create_subscription(message_type, name, record, profile, raw=True)
+
+    def _record(self, name: str, data: bytes, info: dict[str, int]) -> None:
         if self._end_ns is not None and info['source_timestamp'] > self._end_ns:
             return
-        if not self.receive(topic, info) or self._writer is None:
+        number = info['publication_sequence_number']
+        gap = self._sequences[name].gap(number, partial(self.count_publishers, name))
+        self.health.received += 1
+        self.health.lost[name] += gap
+        writer = self._writer
+        if not self.active or writer is None:
             return
         self._last_message = time.monotonic()
-        try:
-            self._write(self._writer, topic, data, info)
-        except OSError as error:
-            self.fail(f'{self._writer.folder} can not be written any further: {error}')
+        with self._writing(writer):
+            if not self._recorded[name].is_in_bag:
+                self._introduce(writer, name, data)
+            if gap:
+                writer.count_lost(name, gap)
+            writer.write(
+                name,
+                data,
+                log_time_ns=info['received_timestamp'],
+                publish_time_ns=info['source_timestamp'],
+                sequence=number,
+            )
 
-    def _write(self, writer: BagWriter, topic: str, data: bytes, info: dict[str, int]) -> None:
-        name = self.resolve_topic_name(topic)
-        if name not in writer.message_counts:
-            writer.add_topic(self._describe(topic, name))
-        writer.write(
-            name,
-            data,
-            log_time_ns=info['received_timestamp'],
-            publish_time_ns=info['source_timestamp'],
-            sequence=info['publication_sequence_number'],
-        )
-
-    def _describe(self, topic: str, name: str) -> Topic:
-        message_type = TOPICS[topic].message_type
+    def _introduce(self, writer: BagWriter, name: str, data: bytes) -> None:
+        """Say in the log what a topic is, with its first message."""
+        recorded = self._recorded[name]
+        recorded.is_in_bag = True
         publishers = self.get_publishers_info_by_topic(name)
-        return Topic(
-            name=name,
-            type_name=message_type_name(message_type),
-            definition=message_definition(message_type),
-            offered_qos_profiles=tuple(_offered(each.qos_profile) for each in publishers),
-            type_hash=_type_hash(publishers),
+        writer.add_topic(
+            Topic(
+                name=name,
+                type_name=type_name_of(recorded.message_type),
+                definition=message_definition(recorded.message_type),
+                offered_qos_profiles=offered_profiles(publishers),
+                type_hash=type_hash(publishers),
+            )
         )
+        writer.count_lost(name, 0)
+        if name.rpartition('/')[2] in _MODEL_TOPICS and recorded.message_type is JointState:
+            model = deserialize_message(data, JointState).header.frame_id
+            writer.add_metadata(MODELS_RECORD, {name: model})
+
+    def _keep_parameters(self, node: str, parameters: Mapping[str, Any]) -> None:
+        if self._writer is None or self.failure:
+            return
+        content = {node: {'ros__parameters': dict(parameters)}}
+        text = yaml.safe_dump(content, sort_keys=False)
+        with self._writing(self._writer):
+            self._writer.add_metadata(NODE_PARAMETERS_RECORD, {node: text})
+            self._attach(parameters)
+
+    def _attach(self, parameters: Mapping[str, Any]) -> None:
+        """Put the files that a node's parameters name into the log, as far as that was asked for.
+
+        Raises:
+            OSError: the log can't be written.
+        """
+        for parameter in self.settings['attach']:
+            folder, suffixes = _MODEL_FILES[parameter]
+            if not isinstance(parameters.get(parameter), str):
+                continue
+            try:
+                path = find_resource(parameters[parameter], folder, '.json')
+                files = {path.with_suffix(suffix): b'' for suffix in suffixes}
+                if path in self._attached:
+                    continue
+                for file in files:
+                    files[file] = file.read_bytes()
+            except OSError as error:
+                self.say(f'the {parameter} is not attached: {error}', problem=True)
+                continue
+            self._attached.add(path)
+            for file, data in files.items():
+                name = f'{parameter}/{file.name}'
+                if self._writer is not None:
+                    media_type = _MEDIA_TYPES[file.suffix]
+                    self._writer.add_attachment(name, media_type, data, time.time_ns())
+
+    def _sync(self) -> None:
+        if self._writer is not None and not self.failure:
+            with self._writing(self._writer):
+                self._writer.sync()
+
+    @contextmanager
+    def _writing(self, writer: BagWriter) -> Iterator[None]:
+        """End the recording where the log can't be written; what is written stays."""
+        try:
+            yield
+        except OSError as error:
+            if not self.failure:
+                self.fail(
+                    f'{writer.folder} can not be written any further ({error.strerror or error}): '
+                    'what was recorded before is kept; make room or choose another folder by `bag`'
+                )
 
 
-def _type_hash(publishers: list[TopicEndpointInfo]) -> str:
-    text = str(publishers[0].topic_type_hash) if publishers else ''
-    return text if text.startswith('RIHS01_') else ''  # rclpy says INVALID where it has none
+def _sections(path: str, text: str) -> list[dict[str, Any]]:
+    """Return the parameters of each section of a parameter file.
 
-
-def _offered(qos: RclpyQoS) -> QosProfile:
-    return QosProfile(
-        history=qos.history.short_key,
-        depth=qos.depth,
-        reliability=qos.reliability.short_key,
-        durability=qos.durability.short_key,
-    )
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        content = yaml.safe_load(text) or {}
+        return [dict(section['ros__parameters']) for section in content.values()]
+    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f'{path}: expected a ROS 2 parameter file (node: ros__parameters: …), '
+            f'but {type(error).__name__}: {error}'
+        ) from error
 
 
 def main(arguments: list[str] | None = None) -> None:

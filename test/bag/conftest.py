@@ -209,7 +209,7 @@ def split_bag(messages, tmp_path_factory):
                     bag.add_metadata(name, content)
                 for place in part:
                     bag.write(*rows[place])
-            bag.path.rename(folder / f'bag_{k}.mcap')
+            (bag.folder / 'bag_0.mcap').rename(folder / f'bag_{k}.mcap')
             text = (bag.folder / 'metadata.yaml').read_text().replace('bag_0.mcap', f'bag_{k}.mcap')
             contents.append(yaml.safe_load(text)['rosbag2_bagfile_information'])
         together = contents[0]

@@ -10,11 +10,12 @@ import argparse
 
 import graph_training
 import latent_dynamics
+import recording
 
 from dpc_ros.results import write_results
 from dpc_ros.threads import single_threaded_algebra
 
-BENCHMARKS = (latent_dynamics, graph_training)
+BENCHMARKS = (latent_dynamics, graph_training, recording)
 
 
 def main():

@@ -27,7 +27,7 @@ def assert_one_clear_error(output, *words):
         ('simulator', 'rate:=-1.0', ('rate', 'expected 1 to 2000 Hz', '-1')),
         ('simulator', 'rate:=fast', ('rate', 'expected a double', "'fast'")),
         ('simulator', 'time_mode:=soon', ('time_mode', 'lockstep, realtime', 'soon')),
-        ('recorder', 'topics:=[sound]', ('topics', 'configuration')),
+        ('recorder', 'attach:=[sound]', ('attach', 'network, checkpoint')),
     ],
 )
 def test_bad_parameters(domain, kind, parameter, words):
@@ -66,6 +66,9 @@ def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
         ('controller', ['target:=simulation:9@1'], ('simulation:9@1', '[1, 2, 3, 4, 5, 6, 7]')),
         ('controller', ['target:=simulation:1@5000'], ('5000', '0 to 1000')),
         ('recorder', ['bag:=.'], ('expected a new or an empty folder',)),
+        ('recorder', ["topics:=['the body']"], ('topics', 'names of topics', "'the body'")),
+        ('recorder', ["exclude:=['/a//b']"], ('exclude', 'patterns', "'/a//b'")),
+        ('recorder', [f'parameters_file:={__file__}'], (__file__, 'ROS 2 parameter file')),
         ('recorder', ['parameters_file:=/nowhere.yaml'], ('/nowhere.yaml',)),
     ],
 )
@@ -102,6 +105,7 @@ def test_bad_target_files(domain, tmp_path, content, words):
         (['--set', 'controller.target_=[1'], ('unknown parameter', 'target_')),
         (['--set', 'simulator.rate=[1'], ('rate', 'expected a double', '[1')),
         (['--set', 'recorder.topics=[1'], ('topics', 'expected a string_array', '[1')),
+        (['--set', 'recorder.topics=[a b]'], ('recorder: topics', 'names of topics', 'a b')),
         (['--namespace', 'bad name'], ('namespace', '/bad name')),
         (['--config', 'nowhere.yaml'], ('nowhere.yaml',)),
         (['--config', __file__], ('expected a ROS 2 parameter file',)),

@@ -1,0 +1,107 @@
+"""Recording of the demonstration in real time: share of a core that the recorder takes, and losses.
+
+The nodes are processes, as the launcher starts them; the recorder's time is that between the first
+and the last message in its log. There is no peer: the time stands beside a quarter of a core.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from dpc_ros.bag import read_run
+from dpc_ros.bag.mcap_file import read_messages
+from dpc_ros.nodes.launch_plan import make_plan
+from dpc_ros.resources import config_path
+
+RATES = (200.0, 1000.0)  # Hz
+DURATION = 5.0  # s, of simulated time
+REPETITIONS = 3
+QUARTER_OF_A_CORE = 0.25
+TOPICS = ('/configuration', '/latent_state', '/control_force')
+READERS = {'simulator': 'encoder', 'encoder': 'controller', 'controller': 'simulator'}
+SAMPLING = 0.02  # s between two looks at the recorder's time
+
+
+def measure():
+    """Return one row for each rate."""
+    return [_row(rate, [_record(rate) for _ in range(REPETITIONS)]) for rate in RATES]
+
+
+def _row(rate, runs):
+    share = statistics.median(run['share'] for run in runs)
+    return {
+        'benchmark': f'recorder, {rate:g} Hz, per second',
+        'ours_median_s': share,
+        'peer': 'a quarter of a core',
+        'peer_median_s': QUARTER_OF_A_CORE,
+        'ratio': QUARTER_OF_A_CORE / share,
+        'rate_sustained_Hz': statistics.median(run['rate'] for run in runs),
+        'messages': sum(run['messages'] for run in runs),
+        'lost': sum(run['lost'] for run in runs),
+    }
+
+
+def _record(rate):
+    with tempfile.TemporaryDirectory() as folder:
+        plan = _plan(rate, Path(folder) / 'run')
+        environment = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+        nodes = {}
+        try:
+            for kind in plan.nodes:
+                command = [sys.executable, '-m', f'dpc_ros.nodes.{kind}_node']
+                nodes[kind] = subprocess.Popen(
+                    [*command, *plan.ros_arguments()], env=environment, stderr=subprocess.DEVNULL
+                )
+            samples = _sample(nodes['recorder'], nodes['simulator'])
+        finally:
+            for kind in reversed(plan.nodes):  # the recorder last
+                nodes[kind].terminate()
+                nodes[kind].wait()
+        return _evaluate(plan.bag, rate, samples)
+
+
+def _plan(rate, folder):
+    overrides = {
+        'simulator': {'rate': rate, 'time_mode': 'realtime', 'duration': DURATION},
+        'encoder': {},
+        'controller': {},
+    }
+    for kind, reader in READERS.items():
+        overrides[kind]['expected_subscribers'] = [reader, 'recorder']
+    plan = make_plan(config_path('demo.yaml'), overrides, folder)
+    plan.write()
+    return plan
+
+
+def _sample(recorder, simulator):
+    """Return times [ns] and the recorder's processor time [s], until the simulator has ended."""
+    process = psutil.Process(recorder.pid)
+    samples = []
+    while simulator.poll() is None:
+        spent = process.cpu_times()
+        samples.append((time.time_ns(), spent.user + spent.system))
+        time.sleep(SAMPLING)
+    return np.array(samples)
+
+
+def _evaluate(bag, rate, samples):
+    times = [message.log_time_ns for message in read_messages(bag, TOPICS)]
+    begin, end = min(times), max(times)
+    spent = np.interp([begin, end], samples[:, 0], samples[:, 1])
+    seconds = (end - begin) / 1e9
+    run = read_run(bag)
+    expected = round(rate * DURATION) + 1
+    missing = expected - len(run.configuration)
+    return {
+        'share': (spent[1] - spent[0]) / seconds,
+        'rate': len(run.configuration) / seconds,
+        'messages': len(times),
+        'lost': missing + sum(run.losses.values()),
+    }
