@@ -20,6 +20,7 @@ PAPER_EXPERIMENTS = (
     'interpretability',
     'pointwise',
     'reduced',
+    'control-tuning',
     'control',
     'tables',
 )

@@ -17,7 +17,7 @@ from dpc_ros.bag.metadata import MACHINE_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.reader import Target as LoggedTarget
 from dpc_ros.bag.signals import Announcement, Deviation, Key, Signals, deviation, read_signals
 from dpc_ros.bag.splits import BagError
-from dpc_ros.control import OnlineController, OnlineEncoder, Target
+from dpc_ros.control import Answers, OnlineController, OnlineEncoder, Target
 from dpc_ros.machine import describe_machine
 from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 from dpc_ros.threads import single_threaded_algebra
@@ -86,6 +86,8 @@ def rerun(
     encoder = OnlineEncoder(parameters['encoder'])
     controller = OnlineController(parameters['controller'])
     notes = _check_models(signals, encoder, controller, overrides)
+    if parameters['encoder']['measure_delay']:
+        notes += ('the log does not say the delays that were measured: none is foreseen',)
     with single_threaded_algebra():
         latents = _encode(signals, encoder, progress)
         forces, problems = _control(signals, controller, latents, progress)
@@ -202,15 +204,24 @@ def _encode(
     signals: Signals, encoder: OnlineEncoder, progress: bool
 ) -> dict[Key, tuple[np.ndarray, np.ndarray]]:
     latents: dict[Key, tuple[np.ndarray, np.ndarray]] = {}
-    epoch = 0
+    forces = iter(signals.force.samples.items())
+    following = next(forces, None)
+    answers = Answers()
     for key in _shown(signals.latent.samples, 'encoding', progress):
-        sample = signals.configuration.samples.get(key)
-        if sample is None:
+        answer, question = signals.latent.samples[key], signals.configuration.samples.get(key)
+        # An observer knows the forces that had come when it estimated.
+        while following is not None and following[1].publish_ns <= answer.publish_ns:
+            (_, stamp), force = following
+            if encoder.observer is not None:
+                encoder.observer.acted(stamp, force.values[0])
+            following = next(forces, None)
+        if question is None:
             continue
-        if key[0] != epoch or signals.latent.samples[key].from_restarted:
+        if answers.begins_anew(key[1]) or answer.from_restarted:
             encoder.restart()
-        epoch = key[0]
-        latents[key] = encoder.encode(*sample.values)
+        answers.remember(key[1], None, None)
+        configuration, velocity = question.values
+        latents[key] = encoder.encode(configuration, velocity, key[1])
     return latents
 
 

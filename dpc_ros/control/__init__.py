@@ -2,15 +2,16 @@
 
 from dpc_ros.control.answers import Answers
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
+from dpc_ros.control.delay import DelayMeter
 from dpc_ros.control.equilibrium import (
     EquilibriumError,
     FeedForward,
     feed_forward,
     reduced_equilibrium,
 )
-from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.law import LONGEST_GAP, ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
-from dpc_ros.control.observer import LatentObserver, ObservedLaw, ObserverSettings
+from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.online import OnlineController, OnlineEncoder
 from dpc_ros.control.registry import LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
@@ -25,16 +26,17 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'LONGEST_GAP',
     'Answers',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',
+    'DelayMeter',
     'EquilibriumError',
     'FeedForward',
     'Imperfections',
     'LatentObserver',
     'LawSettings',
-    'ObservedLaw',
     'ObserverSettings',
     'OnlineController',
     'OnlineEncoder',

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint, with_encoder
 from dpc_ros.control.law import ControlLaw, LawSettings
-from dpc_ros.control.observer import ObservedLaw, ObserverSettings
+from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.registry import make_law
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.targets import Target
@@ -27,8 +27,13 @@ from dpc_ros.reduction import CompressedSystem
 class OnlineEncoder:
     """Encodes one configuration after the other; the search for each begins at the one before.
 
+    With an observer, what comes out are its estimates.
+
     Args:
         parameters: of the encoder node, by name.
+
+    Attributes:
+        observer: the filter, where the parameters ask for one.
 
     Raises:
         FileNotFoundError: there is no such network or checkpoint.
@@ -37,21 +42,36 @@ class OnlineEncoder:
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
         self.network, self.checkpoint, self.autoencoder = _load_models(parameters)
+        self.observer = _make_observer(self.network, self.autoencoder, parameters)
         self._last_latent: np.ndarray | None = None
 
     def restart(self) -> None:
-        """Begin anew, as where stamps do."""
+        """Begin anew, as where a motion does."""
         self._last_latent = None
+        if self.observer is not None:
+            self.observer.restart()
+
+    def warm_up(self) -> None:
+        """Compile what compiles at its first call, and forget it."""
+        rest = self.network.rest_configuration
+        for stamp in range(2):
+            self.encode(rest, np.zeros_like(rest), stamp)
+        self.restart()
 
     def encode(
-        self, configuration: Float[np.ndarray, ' n'], velocity: Float[np.ndarray, ' n']
+        self,
+        configuration: Float[np.ndarray, ' n'],
+        velocity: Float[np.ndarray, ' n'],
+        stamp: int,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s]."""
+        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s] at a stamp [ns]."""
         latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
             configuration, velocity, self._last_latent
         )
         self._last_latent = latent
-        return latent, latent_velocity
+        if self.observer is None:
+            return latent, latent_velocity
+        return self.observer.estimate(latent, latent_velocity, stamp)
 
 
 class OnlineController:
@@ -76,10 +96,6 @@ class OnlineController:
             Mechanics(self.network, gravity), autoencoder, parameters['actuated_mass']
         )
         self.law: ControlLaw = make_law(parameters['law'], system, law_settings(parameters))
-        if parameters['observer'] == 'kalman':
-            names = (each.name for each in fields(ObserverSettings))
-            settings = ObserverSettings(**{name: parameters[name] for name in names})
-            self.law = ObservedLaw(self.law, settings)
         self.has_target = False
         self._schedule = TargetSchedule()
         self._seen: Target | None = None
@@ -146,6 +162,23 @@ def law_settings(parameters: Mapping[str, Any]) -> LawSettings:
         raise ParameterError(f'law_options: expected names and values as YAML, got {text!r}')
     numbers = {each.name for each in fields(LawSettings)} - {'options'}
     return LawSettings(**{name: parameters[name] for name in numbers}, options=options)
+
+
+def _make_observer(
+    network: MassSpringNetwork, autoencoder: Autoencoder, parameters: Mapping[str, Any]
+) -> LatentObserver | None:
+    """Return the observer that an encoder's parameters ask for: they have its settings' names."""
+    observes = parameters['observer'] == 'kalman'
+    if parameters['measure_delay'] and not observes:
+        raise ParameterError('measure_delay: expected observer kalman, which foresees the delay')
+    if parameters['measure_delay'] and parameters['delay']:
+        raise ParameterError('measure_delay: expected delay 0, or measure_delay false: not both')
+    if not observes:
+        return None
+    gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
+    system = CompressedSystem(Mechanics(network, gravity), autoencoder, parameters['actuated_mass'])
+    names = (each.name for each in fields(ObserverSettings))
+    return LatentObserver(system, ObserverSettings(**{name: parameters[name] for name in names}))
 
 
 def _load_models(

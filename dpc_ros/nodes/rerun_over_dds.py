@@ -63,6 +63,7 @@ def rerun_plan(
     topics = (
         ['configuration', targets] if signals.targets or signals.in_force else ['configuration']
     )
+    observing = ['encoder'] if logged['encoder']['observer'] != 'none' else []
     given: dict[str, dict[str, Any]] = {
         RECORDER: {
             'bag': str(folder / 'bag'),
@@ -72,7 +73,7 @@ def rerun_plan(
         'controller': {
             **logged['controller'],
             'target': '',
-            'expected_subscribers': ['player', RECORDER],
+            'expected_subscribers': ['player', RECORDER, *observing],
         },
         'player': {
             'bag': str(signals.path.resolve()),

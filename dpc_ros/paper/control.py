@@ -169,12 +169,13 @@ def _imperfect(
     conditions = [Imperfections(hold=hold) for hold in (2, 4, 8)]
     conditions += [Imperfections(latency=latency) for latency in (1, 2, 4)]
     conditions += [Imperfections(noise=noise) for noise in (0.01, 0.03, 0.1)]
-    conditions += [Imperfections(hold=4, latency=4, noise=noise) for noise in (0.1, 0.5)]
-    cases: list[tuple[Imperfections, ObserverSettings | None]] = [(c, None) for c in conditions]
-    cases += [
-        (loop, ObserverSettings(position_noise=loop.noise, delay=loop.latency * STEP))
-        for loop in conditions[-2:]
+    hard = [
+        Imperfections(hold=4, latency=4, noise=noise, velocity_noise=velocity_noise)
+        for noise, velocity_noise in ((0.1, 0.0), (0.5, 0.0), (0.5, 5.0))
     ]
+    cases: list[tuple[Imperfections, ObserverSettings | None]]
+    cases = [(loop, None) for loop in conditions + hard]
+    cases += [(loop, _filter(loop)) for loop in hard]
     fast = each('1 ms', partial(run, step=_FAST), tasks)
     rows.append({**what, 'hold_s': _FAST, 'observer': 'none', **summary(fast, bounds)})
     for loop, observer in cases:
@@ -183,10 +184,19 @@ def _imperfect(
             'hold_s': loop.hold * STEP,
             'latency_s': loop.latency * STEP,
             'sigma_m': loop.noise,
+            'sigma_velocity_m_s': loop.velocity_noise,
             'observer': 'kalman' if observer else 'none',
         }
         rows.append({**what, **row, **summary(found, bounds)})
     return rows
+
+
+def _filter(loop: Imperfections) -> ObserverSettings:
+    """Return the settings of a filter that is told the noise and the latency."""
+    noises = {'position_noise': loop.noise}
+    if loop.velocity_noise:
+        noises['velocity_noise'] = loop.velocity_noise
+    return ObserverSettings(**noises, delay=loop.latency * STEP)
 
 
 def _other_bodies(

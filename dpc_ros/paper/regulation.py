@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import islice
 from multiprocessing import get_context
 from typing import Any
 
@@ -22,8 +23,8 @@ from dpc_ros.control import (
     ConstantForce,
     EquilibriumError,
     Imperfections,
+    LatentObserver,
     LawSettings,
-    ObservedLaw,
     ObserverSettings,
     Target,
     load_target,
@@ -107,8 +108,8 @@ class Outcome:
         return self.step * (int(outside[-1]) + 1 if len(outside) else 0)
 
 
-def load_tasks(name: str) -> list[Task]:
-    """Return the runs of a file in config/control, without gravity."""
+def load_tasks(name: str, count: int | None = None) -> list[Task]:
+    """Return the runs of a file in config/control, or its first ones, without gravity."""
     network = load_network(SYSTEM)
     with config_path('control', f'{name}.csv').open(newline='') as file:
         return [
@@ -117,7 +118,7 @@ def load_tasks(name: str) -> list[Task]:
                 int(row['actuated_mass']),
                 _target(network, int(row['actuated_mass']), row['target']),
             )
-            for row in csv.DictReader(file)
+            for row in islice(csv.DictReader(file), count)
         ]
 
 
@@ -153,8 +154,6 @@ def regulate(
         CompressedSystem(Mechanics(network, gravity), autoencoder, task.mass),
         settings,
     )
-    if observer is not None:
-        law = ObservedLaw(law, observer)
     steps = round(duration / step)
     try:
         law.regulate(Target(configuration=task.target))
@@ -176,6 +175,7 @@ def regulate(
             steps,
             lambda step: shortened.append(law.saturated),
             imperfections,
+            LatentObserver(law.system, observer) if observer is not None else None,
         )
         errors = np.mean((run.configuration - task.target) ** 2, axis=1)
         nmse = np.nan_to_num(errors / errors[0], nan=np.inf)

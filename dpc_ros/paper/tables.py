@@ -371,6 +371,8 @@ def _condition(row: dict[str, Any]) -> str:
         f'latency {1e3 * row["latency_s"]:.0f} ms',
         f'σ = {row["sigma_m"]:g} m',
     ]
+    if row.get('sigma_velocity_m_s'):
+        parts.append(f'{row["sigma_velocity_m_s"]:g} m/s')
     return ', '.join(parts) + (', filtered' if row['observer'] == 'kalman' else '')
 
 

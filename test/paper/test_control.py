@@ -1,6 +1,5 @@
 """The control experiment runs what its files say and counts what came of it."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
@@ -12,6 +11,7 @@ from dpc_ros.network import load_network
 from dpc_ros.paper import control, control_rows, control_tuning, regulation
 from dpc_ros.paper.regulation import LIMIT
 from dpc_ros.resources import share_directory
+from dpc_ros.results import read_results
 
 RESULTS = share_directory() / 'docs' / 'results'
 
@@ -51,7 +51,7 @@ def test_no_target_is_one_that_gains_are_chosen_on():
 
 def test_reachable_targets_are_held(mechanics):
     network = load_network('paper_2')
-    for task in regulation.load_tasks('tuning_reachable_targets')[:3]:
+    for task in regulation.load_tasks('tuning_reachable_targets', 3):
         bound = regulation.bound(task, starts=2)
         assert bound < 1e-3
         assert np.abs(task.target - network.rest_configuration).max() > 1e-3
@@ -148,12 +148,17 @@ def test_the_best_regulator_is_the_quickest_that_bears_the_hardest_loop():
     assert control_tuning.best_regulator(rows).force_weight == 2.0
 
 
+def test_the_defaults_are_the_gains_that_the_tuning_chose():
+    rows = read_results(RESULTS / 'control_tuning.json')
+    assert control_tuning.best_regulator(rows) == LIMIT
+
+
 def test_tuning_reads_other_targets_only(monkeypatch):
     read = []
 
     def tasks_of(name):
         read.append(name)
-        return []
+        return [None]
 
     def each(description, function, tasks):
         return [1.0] if 'bounds' in description else [outcome(1.0)]
@@ -166,7 +171,7 @@ def test_tuning_reads_other_targets_only(monkeypatch):
 
 def test_results_hold_every_run_and_the_figure_follows(tmp_path):
     rows = {
-        name: json.loads((RESULTS / f'{name}.json').read_text())['rows']
+        name: read_results(RESULTS / f'{name}.json')
         for name in ('control', 'control_runs', 'control_time')
     }
     laws = [row for row in rows['control'] if row['experiment'] == 'paper_targets']
