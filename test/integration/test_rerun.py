@@ -29,9 +29,10 @@ def changing_run(domain, observer, plan):
     that is, the second from a stamp on.
     """
 
-    def run(**controller):
+    def run(encoder=(), **controller):
         made = plan(
             simulator={'duration': STEPS * 0.005},
+            encoder=dict(encoder),
             controller={'target': 'simulation:4@100', **controller},
         )
         node, announced = observer.node, []
@@ -110,7 +111,12 @@ def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_r
 
 
 def test_a_changed_gain_is_found_where_it_first_acts(domain, changing_run):
-    made = changing_run(law='reduced_equilibrium')
+    """With an observer, too: its forces are those of the log, whatever the law gives now."""
+    made = changing_run(
+        encoder={'observer': 'kalman'},
+        law='reduced_equilibrium',
+        expected_subscribers=['simulator', 'encoder', 'recorder'],
+    )
     assert rerun(made.bag).is_identical
     done = dpc(domain, str(made.bag), '--set', 'controller.derivative_gain=1.001')
     assert done.returncode == 1, done.stdout + done.stderr
