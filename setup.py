@@ -6,7 +6,14 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'dpc_ros'
 ROOT = Path(__file__).resolve().parent  # `colcon build --symlink-install` runs a link to this file
-NODES = ('simulator_node', 'encoder_node', 'controller_node', 'recorder_node', 'launcher')
+NODES = (
+    'simulator_node',
+    'encoder_node',
+    'controller_node',
+    'recorder_node',
+    'player_node',
+    'launcher',
+)
 
 
 def share_files():

@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 import argparse
+import datetime
+import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +56,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     command.add_argument('--namespace', help='of the topics, where the log has several')
     command.add_argument('--results', help='JSON to write the table to, as in docs/results')
     command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
+    add_rerun_command(commands)
 
 
 def info(options: argparse.Namespace) -> None:
@@ -122,3 +127,76 @@ def converge(options: argparse.Namespace) -> None:
     if options.results:
         write_results(options.results, [*course(convergence), summary(convergence)])
         print(f'results     {options.results}')
+
+
+def add_rerun_command(commands: Any) -> None:
+    """Give `dpc bag` its command `rerun`."""
+    command = commands.add_parser('rerun', help=rerun.__doc__, description=rerun.__doc__)
+    command.set_defaults(command=rerun)
+    command.add_argument('bag', help='folder or MCAP file of the log')
+    command.add_argument('--checkpoint', help='of encoder and controller instead of the logged one')
+    command.add_argument(
+        '--set',
+        action='append',
+        default=[],
+        metavar='NODE.PARAMETER=VALUE',
+        help='override one parameter of encoder or controller; may be given several times',
+    )
+    command.add_argument('--namespace', help='of the topics, where the log has several')
+    command.add_argument(
+        '--over-dds', action='store_true', help='through the nodes, the player in lockstep'
+    )
+    command.add_argument(
+        '--output', help='folder of the run over DDS, new; default runs/rerun_<date>_<time>'
+    )
+
+
+def rerun(options: argparse.Namespace) -> int:
+    """Feed a log through encoder and controller again and show what has changed."""
+    from dpc_ros.bag.rerun import RERUN_NODES, logged_parameters
+    from dpc_ros.bag.rerun import rerun as run_again
+    from dpc_ros.bag.rerun_table import table
+    from dpc_ros.parameters import parse_overrides
+
+    overrides = parse_overrides(options.set)
+    if options.checkpoint:
+        for node in RERUN_NODES:
+            overrides.setdefault(node, {})['checkpoint'] = options.checkpoint
+    if not options.over_dds:
+        result = run_again(options.bag, overrides, options.namespace, progress=True)
+        print(table(result))
+        return 0 if result.passed else 1
+
+    from dpc_ros.bag.rerun import judge
+    from dpc_ros.bag.signals import read_signals
+
+    signals = read_signals(options.bag, options.namespace)
+    parameters = logged_parameters(signals, overrides)
+    folder = Path(options.output or f'runs/rerun_{datetime.datetime.now():%Y%m%d_%H%M%S}')
+    sets = [
+        f'--set={node}.{name}={value}'
+        for node, values in overrides.items()
+        for name, value in values.items()
+    ]
+    code = _run_over_dds(
+        [str(options.bag), '--output', str(folder), '--namespace', signals.namespace, *sets]
+    )
+    if code:
+        return code
+    repeated = read_signals(folder / 'bag', signals.namespace)
+    result = judge(signals, repeated.columns(), parameters)
+    print(table(result))
+    print(f'log        {folder / "bag"}')
+    return 0 if result.passed else 1
+
+
+def _run_over_dds(arguments: list[str]) -> int:
+    if find_spec('rclpy') is None:
+        raise ValueError("--over-dds needs ROS 2: pip install 'dpc_ros[ros]', or source yours")
+    command = [sys.executable, '-m', 'dpc_ros.nodes.rerun_over_dds', *arguments]
+    with subprocess.Popen(command) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            process.wait()  # it is told by the same Ctrl-C, and ends its nodes first
+            raise

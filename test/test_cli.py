@@ -26,7 +26,7 @@ COMMANDS = [
     'paper',
     'bag',
 ]
-BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge']
+BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'rerun']
 
 
 @pytest.fixture

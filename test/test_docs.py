@@ -11,6 +11,7 @@ import pytest
 from dpc_ros import cli
 from dpc_ros.bag.convergence_table import format_row
 from dpc_ros.bag.reader import read_run
+from dpc_ros.bag.rerun import rerun
 from dpc_ros.network import (
     Gravity,
     Integrator,
@@ -91,6 +92,7 @@ def test_sample_log_is_whole():
     assert len(run.configuration) == len(run.latent) == len(run.force)
     assert not any(run.losses.values())
     assert Path(bag / 'metadata.yaml').is_file()
+    assert rerun(bag).passed
 
 
 def test_example_of_the_networks_page_is_a_body(tmp_path):

@@ -14,7 +14,9 @@ PACKAGE = Path(dpc_ros.__file__).parent
 ROOMS = [
     'files',
     'figure',
+    'machine',
     'resources',
+    'parameters',
     'results',
     'threads',
     'network',

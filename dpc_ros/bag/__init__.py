@@ -10,16 +10,19 @@ from dpc_ros.bag.mcap_file import (
     read_contents,
     read_messages,
     read_raw,
+    read_topics,
 )
 from dpc_ros.bag.metadata import (
     COMMAND_RECORD,
     LOSSES_RECORD,
+    MACHINE_RECORD,
     MODELS_RECORD,
     NODE_PARAMETERS_RECORD,
     PARAMETERS_RECORD,
     VERSIONS_RECORD,
 )
 from dpc_ros.bag.reader import Run, Target, read_run
+from dpc_ros.bag.signals import Deviation
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
 from dpc_ros.bag.writer import BagWriter
@@ -27,6 +30,7 @@ from dpc_ros.bag.writer import BagWriter
 __all__ = [
     'COMMAND_RECORD',
     'LOSSES_RECORD',
+    'MACHINE_RECORD',
     'MODELS_RECORD',
     'NODE_PARAMETERS_RECORD',
     'PARAMETERS_RECORD',
@@ -35,6 +39,7 @@ __all__ = [
     'BagWriter',
     'Contents',
     'Convergence',
+    'Deviation',
     'Energy',
     'Message',
     'QosProfile',
@@ -49,6 +54,7 @@ __all__ = [
     'read_messages',
     'read_raw',
     'read_run',
+    'read_topics',
     'summary',
     'table',
 ]

@@ -21,7 +21,7 @@ from zstandard import ZstdError
 from dpc_ros.bag.check_sums import MAGIC, verify
 from dpc_ros.bag.metadata import RECORD_NAME
 from dpc_ros.bag.splits import BagError, find_files
-from dpc_ros.bag.topic import offered_profiles
+from dpc_ros.bag.topic import Topic, offered_profiles
 
 # What the readers raise on a damaged file; a wrong check sum is a ValueError.
 DAMAGE = (
@@ -172,6 +172,44 @@ def read_contents(path: str | Path) -> Contents:
         start_ns=min((start for start, _ in spans), default=0),
         end_ns=max((end for _, end in spans), default=0),
     )
+
+
+def read_topics(path: str | Path) -> dict[str, Topic]:
+    """Read what a bag says of each of its topics that has a message, by name.
+
+    Raises:
+        BagError: the path is no bag, a file is damaged, or a topic is not one of ROS 2 messages.
+    """
+    topics: dict[str, Topic] = {}
+    for file in find_files(path):
+        with _reader(file) as reader:
+            summary, statistics = _summary(reader)
+            for number, channel in summary.channels.items():
+                if channel.topic in topics or number not in statistics.channel_message_counts:
+                    continue
+                topics[channel.topic] = _topic(
+                    file, summary.schemas.get(channel.schema_id), channel
+                )
+    return topics
+
+
+def _topic(file: Path, schema: Schema | None, channel: Channel) -> Topic:
+    encodings = (channel.message_encoding, schema.encoding if schema else '')
+    if schema is None or encodings != ('cdr', 'ros2msg'):
+        raise BagError(
+            f'{file}: expected CDR messages with a ros2msg definition on {channel.topic}, got '
+            f'{encodings}'
+        )
+    try:
+        return Topic(
+            name=channel.topic,
+            type_name=schema.name,
+            definition=schema.data.decode(),
+            offered_qos_profiles=offered_profiles(channel.metadata),
+            type_hash=channel.metadata.get('topic_type_hash', ''),
+        )
+    except ValueError as error:
+        raise BagError(f'{file}: {channel.topic}: {error}') from error
 
 
 def read_raw(path: str | Path, topics: Collection[str] | None = None) -> Iterator[RawMessage]:

@@ -21,6 +21,7 @@ PARAMETERS_RECORD = 'dpc_ros.parameters'  # the parameter file of the run, under
 NODE_PARAMETERS_RECORD = 'dpc_ros.node_parameters'  # what each node answered, by its name
 MODELS_RECORD = 'dpc_ros.models'  # network and checkpoint with digests, by topic
 VERSIONS_RECORD = 'dpc_ros.versions'
+MACHINE_RECORD = 'dpc_ros.machine'  # what the results depend on, by name
 COMMAND_RECORD = 'dpc_ros.command'  # the command lines behind the log
 LOSSES_RECORD = 'dpc_ros.losses'  # messages lost up to the end of the file, by topic
 RECORD_NAME = 'rosbag2'  # of the record in the MCAP file that repeats the content

@@ -27,6 +27,7 @@ _TYPES = {
     'configuration': _JOINT_STATE,
     'latent_state': _JOINT_STATE,
     'target': _JOINT_STATE,
+    'target_in_force': _JOINT_STATE,
     'control_force': _WRENCH,
     'external_force': _WRENCH,
 }
@@ -114,14 +115,14 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
     """
     file = Path(path)
     contents = read_contents(file)
-    namespace = _choose_namespace(file, contents, namespace)
+    namespace = choose_namespace(file, contents, namespace)
     signals = {f'{namespace}/{name}': _Signal(kind) for name, kind in _READERS.items()}
     targets: list[Target] = []
     target_topic = f'{namespace}/target'
-    _check_types(file, contents, namespace)
+    check_types(file, contents, namespace)
     for message in read_messages(file, [*signals, target_topic]):
         if message.topic == target_topic:
-            targets.append(_target(message.content))
+            targets.append(read_target(message.content))
         else:
             signals[message.topic].add(message)
     body, latent, force, push = signals.values()
@@ -180,7 +181,7 @@ class _Signal:
         self.repeats = self.lost = self.setbacks = 0
 
     def add(self, message: Message) -> None:
-        stamp = _nanoseconds(message.content)
+        stamp = stamp_of(message.content)
         self.setbacks += stamp < self._last_stamp
         self._last_stamp = stamp
         # Numbers that start anew are those of a restarted publisher: nothing is known to be lost.
@@ -219,22 +220,29 @@ class _Signal:
         return np.array([self._rows[stamp][part] for stamp in sorted(self._rows)])
 
 
-def _target(content: Any) -> Target:
+def read_target(content: Any) -> Target:
+    """Return the target of a decoded message."""
     position = np.array(content.position, dtype=float)
     is_latent = bool(content.name) and content.name[0].startswith(LATENT_PREFIX)
     return Target(
-        stamp_ns=_nanoseconds(content),
+        stamp_ns=stamp_of(content),
         configuration=None if is_latent else position,
         latent=position if is_latent else None,
         frame_id=content.header.frame_id,
     )
 
 
-def _nanoseconds(content: Any) -> int:
+def stamp_of(content: Any) -> int:
+    """Return the stamp of a decoded message [ns]."""
     return content.header.stamp.sec * NANOSECONDS + content.header.stamp.nanosec
 
 
-def _choose_namespace(file: Path, contents: Contents, wanted: str | None) -> str:
+def choose_namespace(file: Path, contents: Contents, wanted: str | None) -> str:
+    """Return the namespace of a log's topics: the wanted one, or the only one there is.
+
+    Raises:
+        BagError: none or more than one fits.
+    """
     found = sorted(
         topic.removesuffix('/configuration')
         for topic, count in contents.messages.items()
@@ -260,7 +268,12 @@ def _choose_namespace(file: Path, contents: Contents, wanted: str | None) -> str
     return namespace
 
 
-def _check_types(file: Path, contents: Contents, namespace: str) -> None:
+def check_types(file: Path, contents: Contents, namespace: str) -> None:
+    """Make sure that the topics of a loop have the types of a loop.
+
+    Raises:
+        BagError: one has another.
+    """
     for name, expected in _TYPES.items():
         topic = f'{namespace}/{name}'
         if contents.messages.get(topic) and contents.types[topic] != expected:

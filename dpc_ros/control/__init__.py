@@ -1,5 +1,6 @@
 """Control of the body through its latent coordinates."""
 
+from dpc_ros.control.answers import Answers
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
 from dpc_ros.control.delay import DelayMeter
 from dpc_ros.control.equilibrium import (
@@ -11,6 +12,7 @@ from dpc_ros.control.equilibrium import (
 from dpc_ros.control.law import LONGEST_GAP, ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.observer import LatentObserver, ObserverSettings
+from dpc_ros.control.online import OnlineController, OnlineEncoder
 from dpc_ros.control.registry import LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
@@ -25,6 +27,7 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 __all__ = [
     'LAWS',
     'LONGEST_GAP',
+    'Answers',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',
@@ -35,6 +38,8 @@ __all__ = [
     'LatentObserver',
     'LawSettings',
     'ObserverSettings',
+    'OnlineController',
+    'OnlineEncoder',
     'PaperLaw',
     'QuadraticRegulator',
     'ReducedEquilibriumLaw',

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
-from dpc_ros.autoencoder import Autoencoder, load_checkpoint, with_encoder
-from dpc_ros.control import DelayMeter, LatentObserver, ObserverSettings
-from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
-from dpc_ros.nodes.answers import Answers
+from dpc_ros.control import Answers, DelayMeter, LatentObserver, OnlineEncoder
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
@@ -26,9 +20,7 @@ from dpc_ros.nodes.messages import (
     read_state,
     state_message,
 )
-from dpc_ros.nodes.parameters import ParameterError
 from dpc_ros.nodes.turns import Turns
-from dpc_ros.reduction import CompressedSystem
 
 _CLOCKS_DIFFER = 'no loop has the delay that was measured: synchronise the clocks of the hosts'
 
@@ -44,25 +36,20 @@ class EncoderNode(LoopNode):
 
     def configure(self) -> None:
         settings = self.settings
-        network = load_network(settings['network'])
-        checkpoint = load_checkpoint(settings['checkpoint'])
-        checkpoint.check_network(network)
-        self._autoencoder = with_encoder(
-            checkpoint.autoencoder(), settings['encoder'], settings['projection_iterations']
-        )
-        self._observer = _make_observer(network, self._autoencoder, settings)
+        self._encoder = OnlineEncoder(settings)
+        network, checkpoint = self._encoder.network, self._encoder.checkpoint
         self._delay = DelayMeter() if settings['measure_delay'] else None
         self._mass = settings['actuated_mass']
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
-        self._names = latent_names(self._autoencoder.latent_size)
+        self._names = latent_names(self._encoder.autoencoder.latent_size)
         self._answers = Answers()
         self._begin_anew()
-        self._warm_up(network.rest_configuration)
+        self._encoder.warm_up()
         self._latent_state = self.create_output('latent_state')
         # An observer that has no time for a state bridges it, rather than be late for all others.
-        observes = self._observer is not None
+        observes = self._encoder.observer is not None
         self.create_input('configuration', self._take_configuration, newest_only=observes)
         if observes:
             self.create_input('control_force', self._take_force)
@@ -71,19 +58,8 @@ class EncoderNode(LoopNode):
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self._last_latent: np.ndarray | None = None
+        self._encoder.restart()
         self._turns = Turns()
-        if self._observer is not None:
-            self._observer.restart()
-
-    def _warm_up(self, configuration: np.ndarray) -> None:
-        state = self._autoencoder.encoder_jacobian_vector_product(
-            configuration, np.zeros_like(configuration)
-        )
-        if self._observer is not None:
-            for stamp in range(2):
-                self._observer.update(*state, stamp)
-            self._observer.restart()
 
     def _take_configuration(self, message: JointState, info: dict[str, int]) -> None:
         if not (self.receive('configuration', info) and self.matched(self._latent_state)):
@@ -106,7 +82,7 @@ class EncoderNode(LoopNode):
         if repeated is not None:
             self.health.repeated += 1
             self.publish(self._latent_state, repeated)
-        elif self._observer is None:
+        elif self._encoder.observer is None:
             self._answer(message, state)
         else:
             for each in self._turns.come(stamp, (message, state)):
@@ -128,10 +104,11 @@ class EncoderNode(LoopNode):
         except MessageError as error:
             self.reject('control_force', error)
             return
-        assert self._observer is not None
+        observer = self._encoder.observer
+        assert observer is not None
         if self._delay is not None:
-            self._measure(self._delay, self._observer, stamp, info['received_timestamp'])
-        self._observer.acted(stamp, force)
+            self._measure(self._delay, observer, stamp, info['received_timestamp'])
+        observer.acted(stamp, force)
         for each in self._turns.answered(stamp):
             self._answer(*each)
 
@@ -152,35 +129,13 @@ class EncoderNode(LoopNode):
     def _answer(self, message: JointState, state: tuple[np.ndarray, np.ndarray]) -> None:
         begin = time.perf_counter()
         stamp = from_stamp(message.header.stamp)
-        latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
-            *state, self._last_latent
-        )
-        self._last_latent = latent
-        if self._observer is not None:
-            latent, latent_velocity = self._observer.estimate(latent, latent_velocity, stamp)
+        latent, latent_velocity = self._encoder.encode(*state, stamp)
         answer = state_message(
             message.header.stamp, self._identifier, latent, latent_velocity, self._names
         )
         self._answers.remember(stamp, message, answer)
         self.publish(self._latent_state, answer)
         self.health.processed(time.perf_counter() - begin)
-
-
-def _make_observer(
-    network: MassSpringNetwork, autoencoder: Autoencoder, parameters: Mapping[str, Any]
-) -> LatentObserver | None:
-    """Return the observer that the node's parameters ask for: they have its settings' names."""
-    observes = parameters['observer'] == 'kalman'
-    if parameters['measure_delay'] and not observes:
-        raise ParameterError('measure_delay: expected observer kalman, which foresees the delay')
-    if parameters['measure_delay'] and parameters['delay']:
-        raise ParameterError('measure_delay: expected delay 0, or measure_delay false: not both')
-    if not observes:
-        return None
-    gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
-    system = CompressedSystem(Mechanics(network, gravity), autoencoder, parameters['actuated_mass'])
-    names = (each.name for each in fields(ObserverSettings))
-    return LatentObserver(system, ObserverSettings(**{name: parameters[name] for name in names}))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,8 @@ import yaml
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
-from dpc_ros.nodes.parameters import ParameterError, declarations
 from dpc_ros.nodes.topic_selection import TopicSelection
+from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
@@ -32,11 +32,15 @@ class LaunchPlan:
         parameters: of each node that is started, every value given explicitly.
         folder: of the run: parameters, logs of the nodes, bag, figure.
         namespace: of all nodes and topics.
+        leader: kind of the node whose end is the end of the run.
+        remappings: of each kind of node, `from:=to`.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
     folder: Path
     namespace: str
+    leader: str = 'simulator'
+    remappings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -46,7 +50,7 @@ class LaunchPlan:
     @property
     def duration(self) -> float:
         """Simulated time of the run [s], infinite where it has no end."""
-        return self.parameters['simulator']['duration'] or math.inf
+        return self.parameters[self.leader]['duration'] or math.inf
 
     @property
     def parameters_file(self) -> Path:
@@ -77,9 +81,11 @@ class LaunchPlan:
         }
         self.parameters_file.write_text(yaml.safe_dump(content, sort_keys=False))
 
-    def ros_arguments(self) -> list[str]:
-        """Return the arguments that hand the parameters to a process."""
+    def ros_arguments(self, node: str = '') -> list[str]:
+        """Return the arguments that hand parameters and remappings to the process of a node."""
         arguments = ['--ros-args', '--params-file', str(self.parameters_file)]
+        for remapping in self.remappings.get(node, ()):
+            arguments += ['-r', remapping]
         return [*arguments, '-r', f'__ns:={self.namespace}'] if self.namespace != '/' else arguments
 
 
@@ -111,7 +117,9 @@ def make_plan(
         raise ParameterError(f'namespace {namespace!r}: {str(error).splitlines()[0]}') from error
     if folder.exists():
         raise FileExistsError(f'{folder} exists already: choose another --output')
-    sections = _read_sections(config)
+    if not config.is_file():
+        raise FileNotFoundError(f'no parameter file {config}')
+    sections = read_sections(config.read_text(errors='replace'), str(config))
     nodes = ((RECORDER,) if record else ()) + LOOP
     _check_known(config, sections, overrides)
     folder = folder.resolve()
@@ -131,15 +139,7 @@ def make_plan(
         }
         for node in nodes
     }
-    parameters: dict[str, dict[str, Any]] = {}
-    for node in nodes:
-        parameters[node] = {}
-        for name, declaration in declarations(node).items():
-            try:
-                value = given[node].get(name, declaration.default)
-                parameters[node][name] = declaration.check(value)
-            except ParameterError as error:
-                raise ParameterError(f'{node}: {error}') from error
+    parameters = {node: node_parameters(node, given[node]) for node in nodes}
     observes = parameters['encoder']['observer'] != 'none'
     if (
         parameters['encoder']['measure_delay']
@@ -168,24 +168,6 @@ def _selects(recorder: Mapping[str, Any], namespace: str, topic: str) -> bool:
     except ValueError as error:
         raise ParameterError(f'{RECORDER}: {error}') from error
     return selection.selects(f'{namespace.rstrip("/")}/{topic}')
-
-
-def _read_sections(config: Path) -> dict[str, dict[str, Any]]:
-    if not config.is_file():
-        raise FileNotFoundError(f'no parameter file {config}')
-    try:
-        content = yaml.safe_load(config.read_text()) or {}
-        return {
-            section.removeprefix('/**/').lstrip('/') if section != '/**' else section: dict(
-                entry['ros__parameters']
-            )
-            for section, entry in content.items()
-        }
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ParameterError(
-            f'{config}: expected a ROS 2 parameter file (node: ros__parameters: …), '
-            f'but {type(error).__name__}: {error}'
-        ) from error
 
 
 def _check_known(

@@ -16,14 +16,14 @@ from dpc_ros.bag.report import converge
 from dpc_ros.nodes.controller_node import ControllerNode
 from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.launch_plan import LOOP, NODES, RECORDER, LaunchPlan, make_plan
+from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
-from dpc_ros.nodes.parameters import ParameterError, declarations
 from dpc_ros.nodes.processes import NodeProcesses
 from dpc_ros.nodes.recorder_node import RecorderNode
 from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.stop import StopRequest
+from dpc_ros.parameters import parse_overrides
 from dpc_ros.resources import config_path
 from dpc_ros.threads import single_threaded_algebra
 
@@ -69,9 +69,9 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     Returns:
         exit code: 0, that of the node that failed, or 130 after Ctrl-C.
     """
-    arguments = plan.ros_arguments() if composed else _namespace_arguments(plan)
+    arguments = plan.ros_arguments() if composed else namespace_arguments(plan)
     with StopRequest(arguments) as stop:
-        run = _run_composed if composed else _run_processes
+        run = _run_composed if composed else run_processes
         failure, code = run(plan, stop)
         interrupted = bool(stop)
     if failure:
@@ -81,7 +81,8 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     return _report(plan)
 
 
-def _run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+def run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+    """Run each node of a plan in a process; return why one failed, if so, and the exit code."""
     executor = make_executor('kept_wait_set', context=stop.context)
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
@@ -150,18 +151,7 @@ def _report(plan: LaunchPlan) -> int:
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    overrides: dict[str, dict[str, Any]] = {}
-    for item in options.set:
-        name, equals, value = item.partition('=')
-        node, dot, parameter = name.partition('.')
-        if not (equals and dot and parameter):
-            raise ValueError(f'--set {item}: expected <node>.<parameter>=<value>')
-        known = declarations(node) if node in NODES else {}
-        try:
-            parsed = known[parameter].parse(value) if parameter in known else value
-        except ParameterError as error:
-            raise ParameterError(f'{node}: {error}') from error
-        overrides.setdefault(node, {})[parameter] = parsed
+    overrides = parse_overrides(options.set)
     if options.target is not None:
         overrides.setdefault('controller', {})['target'] = options.target
     if options.law is not None:
@@ -176,7 +166,8 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     return overrides
 
 
-def _namespace_arguments(plan: LaunchPlan) -> list[str]:
+def namespace_arguments(plan: LaunchPlan) -> list[str]:
+    """Return the ROS arguments of a process that is in the namespace of a plan, and no more."""
     if plan.namespace == '/':
         return []
     return ['--ros-args', '-r', f'__ns:={plan.namespace}']

@@ -17,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from dpc_ros.bag.topic import NANOSECONDS
@@ -26,7 +26,7 @@ from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
 from dpc_ros.nodes.stop import StopRequest
-from dpc_ros.nodes.topics import TOPICS
+from dpc_ros.nodes.topics import TOPICS, Topic
 from dpc_ros.threads import single_threaded_algebra
 
 _DIAGNOSTIC_PERIOD = 1.0  # s
@@ -128,9 +128,10 @@ class LoopNode(LifecycleNode):
         self.finished = True
         return TransitionCallbackReturn.SUCCESS
 
-    def create_output(self, topic: str) -> Publisher:
-        """Return the publisher of a topic of the loop."""
-        publisher = self.create_publisher(TOPICS[topic].message_type, topic, TOPICS[topic].qos)
+    def create_output(self, topic: str, entry: Topic | None = None) -> Publisher:
+        """Return the publisher of a topic of the loop, or of any topic by its type and quality."""
+        entry = entry or TOPICS[topic]
+        publisher = self.create_publisher(entry.message_type, topic, entry.qos)
         self._outputs.append(publisher)
         return publisher
 
@@ -165,31 +166,49 @@ class LoopNode(LifecycleNode):
             self.health.lost[topic] += gap
         return self.active
 
-    def matched(self, publisher: Publisher) -> bool:
-        """Return whether the nodes that a publisher is to wait for were all subscribed, once.
+    def matched(self, *publishers: Publisher) -> bool:
+        """Return whether the nodes that publishers are to wait for were all subscribed, once.
 
-        Their endpoints are known from the graph; the publisher is matched with all that it can
-        reach when it has as many subscriptions as there are endpoints that fit it.
+        A node that is expected as `<name>@<topic>` must be subscribed to that topic, one that is
+        expected by name to any. Their endpoints are known from the graph; a publisher is matched
+        with all that it can reach when it has as many subscriptions as there are endpoints that
+        fit it.
         """
         if not self._matched:
-            endpoints = [
-                endpoint
-                for endpoint in self.get_subscriptions_info_by_topic(publisher.topic_name)
-                if endpoint.qos_profile.durability == DurabilityPolicy.VOLATILE
+            readers = {each.topic_name: self._readers(each) for each in publishers}
+            missing = [
+                expected
+                for expected in self.settings['expected_subscribers']
+                if not self._is_among(expected, readers)
             ]
-            present = {endpoint.node_name for endpoint in endpoints}
-            missing = set(self.settings['expected_subscribers']) - present
             if missing:
-                self.say(f'waiting for {", ".join(sorted(missing))} on {publisher.topic_name}')
-            else:
+                self.say(f'waiting for {", ".join(sorted(missing))} on {", ".join(readers)}')
+                return False
+            for publisher in publishers:
+                count = len(readers[publisher.topic_name])
                 found = publisher.get_subscription_count()
-                self._matched = found >= len(endpoints)
-                if not self._matched:
+                if found < count:
                     self.say(
-                        f'waiting for {len(endpoints)} subscriptions of {publisher.topic_name}, '
+                        f'waiting for {count} subscriptions of {publisher.topic_name}, '
                         f'matched with {found}: is one of another type?'
                     )
-        return self._matched
+                    return False
+            self._matched = True
+        return True
+
+    def _readers(self, publisher: Publisher) -> list[str]:
+        """Return the nodes of the endpoints that fit a publisher."""
+        return [
+            endpoint.node_name
+            for endpoint in self.get_subscriptions_info_by_topic(publisher.topic_name)
+            if _fits(publisher.qos_profile, endpoint.qos_profile)
+        ]
+
+    def _is_among(self, expected: str, readers: Mapping[str, list[str]]) -> bool:
+        name, at, topic = expected.partition('@')
+        if at:
+            return name in readers.get(self.resolve_topic_name(topic), ())
+        return any(name in names for names in readers.values())
 
     def publish(self, publisher: Publisher, message: Any) -> None:
         """Publish and count."""
@@ -259,6 +278,17 @@ class LoopNode(LifecycleNode):
         state = 'active' if self.active else 'inactive'
         status = self.health.report(self.get_name(), self.get_fully_qualified_name(), state)
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().to_msg(), status))
+
+
+def _fits(offered: QoSProfile, requested: QoSProfile) -> bool:
+    """Return whether DDS matches a publisher with a subscription."""
+    return (
+        offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        or requested.durability == DurabilityPolicy.VOLATILE
+    ) and (
+        offered.reliability == ReliabilityPolicy.RELIABLE
+        or requested.reliability == ReliabilityPolicy.BEST_EFFORT
+    )
 
 
 def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | None = None) -> int:

@@ -17,6 +17,9 @@ _SEPARATOR = '=' * 80 + '\n'
 _MSG_NAMES = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
 _TYPE_NAME = re.compile(r'(?P<package>[a-z][a-z0-9_]*)/msg/(?P<name>[A-Z][A-Za-z0-9]*)')
+_FIELD = re.compile(
+    r'\s*(?P<type>[A-Za-z][\w/]*(?:<=\d+)?)(?P<array>\[[^\]]*\])?\s+(?P<name>\w+)\s*(?P<constant>=)?'
+)
 _SEQUENCE = re.compile(r'sequence<(.+?)(?:, (\d+))?>')
 _ARRAY = re.compile(r'(.+)\[(\d+)\]')
 _BOUNDED_STRING = re.compile(r'(w?string)<(\d+)>')
@@ -122,3 +125,53 @@ def _constant_text(value: bool | int | float | str | bytes) -> str:
     if isinstance(value, bytes):
         return str(value[0])
     return repr(value)
+
+
+def check_definition(message_class: type[Any], definition: str) -> None:
+    """Make sure that a type is installed as it is defined elsewhere: the same fields, all the way.
+
+    Comments, constants and defaults may differ: they are not in a message.
+
+    Raises:
+        ValueError: a field differs.
+    """
+    name = message_type_name(message_class)
+    expected = _fields_by_type(name, definition)
+    installed = _fields_by_type(name, message_definition(message_class))
+    for known, fields in expected.items():
+        if installed.get(known) != fields:
+            raise ValueError(
+                f'{name}: {known} was recorded with the fields {_shown(fields)}, but the installed '
+                f'one has {_shown(installed.get(known, []))}: install the version that was recorded'
+            )
+
+
+def _fields_by_type(name: str, definition: str) -> dict[str, list[str]]:
+    """Return the fields, as `<type> <name>`, of a type and of all that it is made of."""
+    own, *dependencies = re.split(r'^=+\n', definition, flags=re.M)
+    parts = {name.replace('/msg/', '/'): own}
+    for text in dependencies:
+        header, _, body = text.partition('\n')
+        parts[header.removeprefix('MSG:').strip().replace('/msg/', '/')] = body
+    return {
+        known: [
+            f'{_full_type(match["type"], known)}{match["array"] or ""} {match["name"]}'
+            for match in map(_FIELD.match, body.splitlines())
+            if match and not match['constant']
+        ]
+        for known, body in parts.items()
+    }
+
+
+def _full_type(element: str, owner: str) -> str:
+    """Return the name of a field's type with its package, as `.msg` files may leave it out."""
+    element = element.replace('/msg/', '/')
+    if element == 'Header':
+        return 'std_msgs/Header'
+    if element[0].isupper():
+        return f'{owner.partition("/")[0]}/{element}'
+    return {'char': 'uint8'}.get(element, element)
+
+
+def _shown(fields: list[str]) -> str:
+    return '; '.join(fields) or 'none'

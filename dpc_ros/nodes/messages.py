@@ -109,9 +109,10 @@ def read_force(message: WrenchStamped) -> tuple[int, Float[np.ndarray, ' 2']]:
     return int(number), _finite(array('d', (force.x, force.y)), 2, 'force components')
 
 
-def target_message(target: Target, frame_id: str) -> JointState:
-    """Return the message of a target that counts at once (stamp zero)."""
+def target_message(target: Target, frame_id: str, stamp: int = 0) -> JointState:
+    """Return the message of a target that counts from a stamp [ns] on, zero is at once."""
     message = JointState()
+    message.header.stamp = to_stamp(stamp)
     message.header.frame_id = frame_id
     message.position = array('d', target.value.tobytes())
     if target.is_latent:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan
+from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.provenance import COMMAND_VARIABLE
 from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.results import command_line
@@ -45,7 +45,7 @@ class NodeProcesses:
             command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
             with (logs / f'{node}.log').open('wb') as log:
                 self._processes[node] = subprocess.Popen(
-                    [*command, *self._plan.ros_arguments()],
+                    [*command, *self._plan.ros_arguments(node)],
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
@@ -54,19 +54,19 @@ class NodeProcesses:
                 )
 
     def is_over(self) -> bool:
-        """Return whether the simulator has come to its end, or any node has failed."""
+        """Return whether the leader has come to its end, or any node has failed."""
         for node, process in self._processes.items():
             code = process.poll()
             if code is None:
                 continue
-            if node != 'simulator' or code != 0:
+            if node != self._plan.leader or code != 0:
                 self._note_failure(node, code)
             return True
         return False
 
     def stop(self) -> None:
         """End what still runs: the loop first, then the recorder, so that nothing is lost."""
-        self._stop([node for node in LOOP if node in self._processes])
+        self._stop([node for node in self._processes if node != RECORDER])
         self._stop([node for node in self._processes if node == RECORDER])
 
     def _stop(self, nodes: list[str]) -> None:

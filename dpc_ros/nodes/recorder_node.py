@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag import (
     COMMAND_RECORD,
+    MACHINE_RECORD,
     MODELS_RECORD,
     NODE_PARAMETERS_RECORD,
     PARAMETERS_RECORD,
@@ -30,6 +31,7 @@ from dpc_ros.bag import (
     Topic,
 )
 from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.machine import describe_machine
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.message_definition import find_message_class, message_definition
 from dpc_ros.nodes.message_definition import message_type_name as type_name_of
@@ -99,6 +101,7 @@ class RecorderNode(LoopNode):
             split_size=settings['split_size'],
             split_duration_ns=round(settings['split_duration'] * NANOSECONDS),
         )
+        self._writer.add_metadata(MACHINE_RECORD, describe_machine())
         self._writer.add_metadata(VERSIONS_RECORD, software_versions())
         self._writer.add_metadata(COMMAND_RECORD, commands())
         if parameters:

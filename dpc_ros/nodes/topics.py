@@ -24,6 +24,13 @@ TARGET_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+# Who comes late learns what was in force before, too.
+IN_FORCE_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,7 @@ TOPICS = {
     'configuration': Topic(JointState, LOOP_QOS),
     'latent_state': Topic(JointState, LOOP_QOS),
     'target': Topic(JointState, TARGET_QOS),
+    'target_in_force': Topic(JointState, IN_FORCE_QOS),
     'control_force': Topic(WrenchStamped, LOOP_QOS),
     'external_force': Topic(WrenchStamped, LOOP_QOS),
 }

@@ -16,6 +16,7 @@ import rclpy
 from domain_coordinator import domain_id
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import LOSSES_RECORD, read_run
@@ -146,7 +147,7 @@ def observer(domain, monkeypatch):
 class Observer:
     """Spins until something has happened."""
 
-    node: rclpy.node.Node
+    node: Node
     executor: SingleThreadedExecutor
 
     def wait(self, condition, what: str) -> None:

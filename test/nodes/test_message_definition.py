@@ -18,6 +18,7 @@ from std_msgs.msg import ColorRGBA, Empty, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dpc_ros.nodes.message_definition import (
+    check_definition,
     find_message_class,
     message_definition,
     message_type_name,
@@ -227,3 +228,34 @@ def test_constants_and_bounds_parse(message_class):
     for constant, _, value in constants:
         assert getattr(message_class, constant) == value
     assert [field for field, _ in fields] == list(message_class.get_fields_and_field_types())
+
+
+@message
+def test_a_type_is_found_by_its_name_and_fits_every_text_of_its_definition(message):
+    name = message_type_name(type(message))
+    found = find_message_class(name)
+    assert found is type(message)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    text, _ = store.generate_msgdef(name, ros_version=2)
+    check_definition(found, text)
+    check_definition(found, message_definition(found))
+    commented = re.sub(r'^(?!=|MSG)(.*)$', r'  \1  # as it was', text, flags=re.M)
+    check_definition(found, f'# of old\nuint8 LIMIT=3\n{commented}')
+
+
+def test_a_definition_with_other_fields_is_refused():
+    text = message_definition(WrenchStamped)
+    for changed in (
+        text.replace('float64 z', 'float32 z'),
+        text.replace('wrench', 'load'),
+        text.replace('float64 x\nfloat64 y', 'float64 y\nfloat64 x'),
+        text.replace('nanosec', 'microsec'),
+    ):
+        with pytest.raises(ValueError, match=r'recorded with the fields .* installed'):
+            check_definition(WrenchStamped, changed)
+
+
+@pytest.mark.parametrize('name', ['nowhere_msgs/msg/Sound', 'std_msgs/msg/Sound', 'sound', 'a/b'])
+def test_a_type_that_is_not_there_is_said(name):
+    with pytest.raises(ValueError, match=name):
+        find_message_class(name)

@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dpc_ros.nodes.answers import Answers
+from dpc_ros.control import Answers
 from dpc_ros.nodes.turns import Turns
 
 STEP = 5_000_000  # ns

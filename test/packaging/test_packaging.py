@@ -25,7 +25,14 @@ import dpc_ros
 from dpc_ros.resources import config_path
 
 ROOT = Path(__file__).resolve().parents[2]
-EXECUTABLES = ('simulator_node', 'encoder_node', 'controller_node', 'recorder_node', 'launcher')
+EXECUTABLES = (
+    'simulator_node',
+    'encoder_node',
+    'controller_node',
+    'recorder_node',
+    'player_node',
+    'launcher',
+)
 NO_SOURCE = ('build', 'install', 'log', 'dist', 'runs', 'bags', 'docs')
 STARTUP_TIMEOUT = 120.0  # s, for a node that compiles its kernels
 STOP_TIMEOUT = 30.0  # s

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.control import LONGEST_GAP
+from dpc_ros.control.law import LONGEST_GAP, NANOSECOND
+
+_LONGEST_GAP_NS = round(LONGEST_GAP / NANOSECOND)
 
 
 class Answers:
@@ -38,7 +39,7 @@ class Answers:
 
         A simulator that sets its body back leaps ahead by more than any gap within a motion.
         """
-        return self.starts_epoch(stamp) or stamp - self._stamp > LONGEST_GAP * NANOSECONDS
+        return self.starts_epoch(stamp) or stamp - self._stamp > _LONGEST_GAP_NS
 
     def remember(self, stamp: int, question: Any, answer: Any) -> None:
         """Keep the answer to a question at a stamp [ns] as the newest."""

@@ -1,0 +1,128 @@
+"""A log says everything: run again, in process or over DDS, it gives the same bits."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from dpc_ros.bag.rerun import rerun
+from dpc_ros.bag.rerun_table import table
+from dpc_ros.control import load_target
+from dpc_ros.network import load_network
+from dpc_ros.nodes.messages import from_stamp, target_message
+from dpc_ros.nodes.topics import IN_FORCE_QOS, TARGET_QOS
+
+NETWORK = load_network('paper_2')
+STEPS = 200
+CHANGE = 10  # steps before the first change of the target
+LATER = 500_000_000  # ns, from the first change to the second
+
+
+@pytest.fixture
+def changing_run(domain, observer, plan):
+    """Return a function that records a run whose target changes twice and returns its plan.
+
+    The body stands still while a target is on its way: the first change counts at once, whenever
+    that is, the second from a stamp on.
+    """
+
+    def run(encoder=(), **controller):
+        made = plan(
+            simulator={'duration': STEPS * 0.005},
+            encoder=dict(encoder),
+            controller={'target': 'simulation:4@100', **controller},
+        )
+        node, announced = observer.node, []
+        node.create_subscription(
+            JointState,
+            'target_in_force',
+            lambda message: announced.append(from_stamp(message.header.stamp)),
+            IN_FORCE_QOS,
+        )
+        targets = node.create_publisher(JointState, 'target', TARGET_QOS)
+        pause = node.create_client(SetBool, '/simulator/pause')
+        step = node.create_client(Trigger, '/simulator/step')
+
+        def call(client, request):
+            observer.wait(client.service_is_ready, 'the simulator')
+            future = client.call_async(request)
+            observer.wait(future.done, 'its answer')
+            return future.result().success
+
+        def take_step():  # refused until the state before has been answered
+            observer.wait(lambda: call(step, Trigger.Request()), 'a step')
+
+        def send(specification, stamp):
+            observer.wait(lambda: targets.get_subscription_count() == 2, 'recorder and controller')
+            target = load_target(specification, NETWORK)
+            targets.publish(target_message(target, NETWORK.identifier, stamp))
+            observer.wait(targets.wait_for_all_acked, 'that they have it')
+
+        nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', 'simulator')}
+        assert call(pause, SetBool.Request(data=True))
+        nodes |= {kind: domain.start_node(kind, made) for kind in ('encoder', 'controller')}
+        for _ in range(CHANGE):
+            take_step()
+        send('simulation:2@60', 0)
+        take_step()
+        observer.wait(lambda: len(announced) == 2, 'the new target in force')
+        later = announced[-1] + LATER
+        send('rest', later)
+        assert call(pause, SetBool.Request(data=False))
+        observer.wait(lambda: nodes['simulator'].poll() is not None, 'the end of the run')
+        observer.wait(lambda: len(announced) == 3, 'the last target in force')
+        for kind in ('simulator', 'encoder', 'controller', 'recorder'):
+            code, output = domain.stop(nodes[kind])
+            assert code == 0, output
+        assert announced[0] == 0
+        assert announced[1] >= CHANGE * 5_000_000
+        assert announced[2] == later
+        return made
+
+    return run
+
+
+def dpc(domain, *arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'dpc_ros.cli', 'bag', 'rerun', *arguments],
+        env=domain.environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_run, tmp_path):
+    made = changing_run(integral_gain=0.5, integral_delay=0.2)
+    result = rerun(made.bag)
+    assert result.is_exact, result.reason
+    assert result.is_identical, table(result)
+    assert {each.stamps for each in result.deviations} == {STEPS + 1}
+
+    done = dpc(domain, str(made.bag), '--over-dds', '--output', str(tmp_path / 'again'))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'identical, bit for bit' in done.stdout
+    again = rerun(tmp_path / 'again' / 'bag')
+    assert again.is_exact
+    assert again.is_identical, table(again)
+
+
+def test_a_changed_gain_is_found_where_it_first_acts(domain, changing_run):
+    """With an observer, too: its forces are those of the log, whatever the law gives now."""
+    made = changing_run(
+        encoder={'observer': 'kalman'},
+        law='reduced_equilibrium',
+        expected_subscribers=['simulator', 'encoder', 'recorder'],
+    )
+    assert rerun(made.bag).is_identical
+    done = dpc(domain, str(made.bag), '--set', 'controller.derivative_gain=1.001')
+    assert done.returncode == 1, done.stdout + done.stderr
+    rows = dict(re.findall(r'^(latent|latent_velocity|force) +(.*)$', done.stdout, re.M))
+    assert rows['latent'].split()[:3] == [str(STEPS + 1), '0', '0']
+    assert rows['force'].split()[:2] == [str(STEPS + 1), '0']
+    # At rest there is no velocity that the gain could act on: the first state gives the same force.
+    assert rows['force'].split()[3] == '0.005'
+    assert 'DIFFERENT' in done.stdout
