@@ -57,6 +57,7 @@ class _Recorded:
     message_type: type[Any]
     profile: QoSProfile
     subscription: Subscription
+    is_of_loop: bool
     publishers: int = 0
     is_in_bag: bool = False
 
@@ -108,7 +109,7 @@ class RecorderNode(LoopNode):
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)
             if self._selection.selects(name):
-                self._subscribe(name, entry.message_type, entry.qos)
+                self._subscribe(name, entry.message_type, entry.qos, is_of_loop=True)
         self._questions = NodeParameters(self, self._keep_parameters)
         # Half the interval: a tick may come late, a message may not wait longer than promised.
         for period, action in (
@@ -175,25 +176,33 @@ class RecorderNode(LoopNode):
         self._subscribe(name, message_type, fitting)
 
     def _follow_publishers(self, name: str, recorded: _Recorded) -> None:
-        """Ask for less where nobody offers what was asked for; rclpy reports who is not heard."""
+        """Ask for what is offered, where the first publishers come after the subscription.
+
+        Topics of the loop stay as they are: the log holds what the loop can hear, and no more.
+        """
         count = self.count_publishers(name)
-        if count == recorded.publishers:
+        if recorded.is_of_loop or count == recorded.publishers:
             return
         recorded.publishers = count
         publishers = self.get_publishers_info_by_topic(name)
-        if publishers and not hears_any(recorded.profile, publishers):
+        if not publishers or recorded.is_in_bag:
+            return
+        fitting = fitting_profile(publishers, LOOP_QOS.depth)
+        misses_latched = fitting.durability != recorded.profile.durability
+        if misses_latched or not hears_any(recorded.profile, publishers):
             self.destroy_subscription(recorded.subscription)
-            fitting = fitting_profile(publishers, LOOP_QOS.depth)
             recorded.profile = fitting
             recorded.subscription = self._listen(name, recorded.message_type, fitting)
 
-    def _subscribe(self, name: str, message_type: type[Any], offered: QoSProfile) -> None:
+    def _subscribe(
+        self, name: str, message_type: type[Any], offered: QoSProfile, is_of_loop: bool = False
+    ) -> None:
         # Deep on every topic: also one with depth 1 may bring several before they are taken.
         profile = QoSProfile(
             depth=LOOP_QOS.depth, reliability=offered.reliability, durability=offered.durability
         )
         subscription = self._listen(name, message_type, profile)
-        self._recorded[name] = _Recorded(message_type, profile, subscription)
+        self._recorded[name] = _Recorded(message_type, profile, subscription, is_of_loop)
 
     def _listen(self, name: str, message_type: type[Any], profile: QoSProfile) -> Subscription:
         record = partial(self._record, name)

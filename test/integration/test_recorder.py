@@ -15,6 +15,7 @@ from geometry_msgs.msg import WrenchStamped
 from mcap.reader import make_reader
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Empty, Int64MultiArray, String
 
@@ -94,9 +95,7 @@ def force(number):
 
 
 def test_topics_by_pattern_of_any_type_and_quality_from_whenever_they_come(recording, observer):
-    made = recording(
-        "topics:=['/lab/*', named, only_listened_to]", "exclude:=['*/noise']", 'split_size:=20000'
-    )
+    made = recording("topics:=['/lab/*', named, only_listened_to]", "exclude:=['*/noise']")
     messages = [
         ('/lab/color', BEST_EFFORT, ColorRGBA(r=0.1, a=1.0)),
         ('/lab/deep/latched', LATCHED, String(data='ξ')),
@@ -125,16 +124,56 @@ def test_topics_by_pattern_of_any_type_and_quality_from_whenever_they_come(recor
     assert decoded['/lab/color'].a == 1.0
 
 
-def test_what_was_latched_before_is_recorded_and_a_lesser_offer_is_followed(recording, observer):
-    target = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
-    target.publish(JointState(position=[1.0, 2.0]))
-    made = recording()
-    made.wait_for(1)
-    # The topics of the loop are listened to as reliable; this publisher is not.
-    push = made.publisher(WrenchStamped, 'external_force', BEST_EFFORT)
-    push.publish(force(1))
+def test_what_was_latched_before_is_recorded(recording, observer):
+    for topic, message in (('target', JointState(position=[1.0])), ('/lab/map', String(data='a'))):
+        observer.node.create_publisher(type(message), topic, TARGET_QOS).publish(message)
+    made = recording("topics:=[target, '/lab/*']")
     made.wait_for(2)
-    assert made.stop().messages == {'/target': 1, '/external_force': 1}
+    assert made.stop().messages == {'/target': 1, '/lab/map': 1}
+
+
+@pytest.mark.parametrize('offered', [BEST_EFFORT, LATCHED], ids=['best_effort', 'latched'])
+def test_the_first_publisher_may_come_after_the_subscription(recording, observer, offered):
+    observer.node.create_subscription(String, '/lab/late', print, offered)
+    made = recording("topics:=['/lab/*']")
+
+    def listeners():
+        return observer.node.get_subscriptions_info_by_topic('/lab/late')
+
+    observer.wait(lambda: len(listeners()) == 2, 'the recorder to listen')
+    publisher = observer.node.create_publisher(String, '/lab/late', offered)
+
+    def is_heard():
+        return (
+            all(
+                each.qos_profile.reliability == offered.reliability
+                and each.qos_profile.durability == offered.durability
+                for each in listeners()
+            )
+            and publisher.get_subscription_count() == 2
+        )
+
+    observer.wait(is_heard, 'the recorder to ask for what is offered')
+    publisher.publish(String(data='a'))
+    made.wait_for(1)
+    assert made.stop().messages == {'/lab/late': 1}
+
+
+def test_a_split_log_is_still_one_log(recording):
+    made = recording("topics:=['/body_2/*']", 'split_size:=20000')
+    publisher = made.publisher(JointState, '/body_2/configuration', LOOP_QOS)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        publisher.publish(JointState(position=array('d', rng.normal(size=400).tobytes())))
+    code, output = made.domain.stop(made.process)
+    assert code == 0, output
+    with AnyReader([made.folder]) as reader:
+        assert reader.message_count == 30
+        assert [connection.topic for connection in reader.connections] == ['/body_2/configuration']
+    for file in made.folder.glob('*.mcap'):
+        metadata = read_contents(file).metadata
+        assert metadata[VERSIONS_RECORD]['dpc_ros'] == __version__
+        assert metadata[LOSSES_RECORD] == {'/body_2/configuration': '0'}
 
 
 def test_the_log_says_what_was_running(domain, observer, tmp_path):
