@@ -111,7 +111,7 @@ def make_plan(
         raise ParameterError(f'namespace {namespace!r}: {str(error).splitlines()[0]}') from error
     if folder.exists():
         raise FileExistsError(f'{folder} exists already: choose another --output')
-    sections = _read_sections(config)
+    sections = read_sections(config)
     nodes = ((RECORDER,) if record else ()) + LOOP
     _check_known(config, sections, overrides)
     folder = folder.resolve()
@@ -159,7 +159,13 @@ def _selects(recorder: Mapping[str, Any], namespace: str, topic: str) -> bool:
     return selection.selects(f'{namespace.rstrip("/")}/{topic}')
 
 
-def _read_sections(config: Path) -> dict[str, dict[str, Any]]:
+def read_sections(config: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of a ROS 2 parameter file by section: `/**`, or a node's name.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ParameterError: it is none.
+    """
     if not config.is_file():
         raise FileNotFoundError(f'no parameter file {config}')
     try:

@@ -30,24 +30,22 @@ from dpc_ros.bag import (
     Topic,
 )
 from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.nodes.launch_plan import read_sections
 from dpc_ros.nodes.loop_node import LoopNode, run_node
-from dpc_ros.nodes.message_definition import find_message_class, message_definition
-from dpc_ros.nodes.message_definition import message_type_name as type_name_of
+from dpc_ros.nodes.message_definition import (
+    find_message_class,
+    message_definition,
+    message_type_name,
+)
+from dpc_ros.nodes.model_files import model_files
 from dpc_ros.nodes.node_parameters import NodeParameters
 from dpc_ros.nodes.offers import fitting_profile, hears_any, offered_profiles, type_hash
 from dpc_ros.nodes.provenance import commands, ros_distribution, software_versions
 from dpc_ros.nodes.topic_selection import TopicSelection
 from dpc_ros.nodes.topics import LOOP_QOS, TOPICS
-from dpc_ros.resources import find_resource
 
 _QUIET = 0.2  # s without a message after which nothing more is on its way
 _MODEL_TOPICS = ('configuration', 'latent_state')  # their frame_id is `<name>@<digest>`
-# Parameters that name a file of the run: folder below config/, suffixes of what belongs to it.
-_MODEL_FILES = {
-    'network': ('systems', ('.json',)),
-    'checkpoint': ('checkpoints', ('.json', '.safetensors')),
-}
-_MEDIA_TYPES = {'.json': 'application/json', '.safetensors': 'application/octet-stream'}
 
 
 @dataclass
@@ -77,7 +75,7 @@ class RecorderNode(LoopNode):
         self._writer: BagWriter | None = None
         self._recorded: dict[str, _Recorded] = {}
         self._refused: set[str] = set()  # topics that can't be recorded, and have been reported
-        self._attached: set[Path] = set()
+        self._attached: set[tuple[str, str]] = set()
         self._ticks: list[Timer] = []
         self._questions: NodeParameters | None = None
         self._last_message = time.monotonic()
@@ -104,7 +102,7 @@ class RecorderNode(LoopNode):
         self._writer.add_metadata(COMMAND_RECORD, commands())
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
-            for section in _sections(parameters_file, parameters):
+            for section in read_sections(Path(parameters_file)).values():
                 self._attach(section)
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)
@@ -240,7 +238,7 @@ class RecorderNode(LoopNode):
         writer.add_topic(
             Topic(
                 name=name,
-                type_name=type_name_of(recorded.message_type),
+                type_name=message_type_name(recorded.message_type),
                 definition=message_definition(recorded.message_type),
                 offered_qos_profiles=offered_profiles(publishers),
                 type_hash=type_hash(publishers),
@@ -266,26 +264,22 @@ class RecorderNode(LoopNode):
         Raises:
             OSError: the log can't be written.
         """
-        for parameter in self.settings['attach']:
-            folder, suffixes = _MODEL_FILES[parameter]
-            if not isinstance(parameters.get(parameter), str):
+        for kind in self.settings['attach']:
+            value = parameters.get(kind)
+            if (
+                self._writer is None
+                or not isinstance(value, str)
+                or (kind, value) in self._attached
+            ):
                 continue
+            self._attached.add((kind, value))
             try:
-                path = find_resource(parameters[parameter], folder, '.json')
-                files = {path.with_suffix(suffix): b'' for suffix in suffixes}
-                if path in self._attached:
-                    continue
-                for file in files:
-                    files[file] = file.read_bytes()
+                files = model_files(kind, value)
             except OSError as error:
-                self.say(f'the {parameter} is not attached: {error}', problem=True)
+                self.say(f'the {kind} is not attached: {error}', problem=True)
                 continue
-            self._attached.add(path)
-            for file, data in files.items():
-                name = f'{parameter}/{file.name}'
-                if self._writer is not None:
-                    media_type = _MEDIA_TYPES[file.suffix]
-                    self._writer.add_attachment(name, media_type, data, time.time_ns())
+            for file in files:
+                self._writer.add_attachment(file.name, file.media_type, file.data, time.time_ns())
 
     def _sync(self) -> None:
         if self._writer is not None and not self.failure:
@@ -303,22 +297,6 @@ class RecorderNode(LoopNode):
                     f'{writer.folder} can not be written any further ({error.strerror or error}): '
                     'what was recorded before is kept; make room or choose another folder by `bag`'
                 )
-
-
-def _sections(path: str, text: str) -> list[dict[str, Any]]:
-    """Return the parameters of each section of a parameter file.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        content = yaml.safe_load(text) or {}
-        return [dict(section['ros__parameters']) for section in content.values()]
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f'{path}: expected a ROS 2 parameter file (node: ros__parameters: …), '
-            f'but {type(error).__name__}: {error}'
-        ) from error
 
 
 def main(arguments: list[str] | None = None) -> None:
