@@ -7,8 +7,10 @@ import os
 import re
 import shutil
 import signal
+import struct
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from operator import itemgetter
@@ -18,6 +20,9 @@ import hypothesis
 import numpy as np
 import pytest
 from jaxtyping import install_import_hook
+from mcap.exceptions import McapError
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 # Not rooms with compiled loops: numba has to see their functions as they are.
@@ -272,6 +277,35 @@ def spring(install_package, monkeypatch):
     paths = [str(site), *filter(None, [os.environ.get('PYTHONPATH')])]
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
     return name
+
+
+@pytest.fixture(scope='session')
+def complete_messages():
+    """Return a function: MCAP file, finished or not → the messages in its complete chunks."""
+
+    def read(file):
+        messages = []
+        with file.open('rb') as stream, suppress(McapError, struct.error):  # where the file ends
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Message):
+                    messages.append(record)
+        return messages
+
+    return read
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 4 MiB."""
+    folder = tmp_path / 'disk'
+    folder.mkdir()
+    command = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'small', str(folder)]
+    try:
+        subprocess.run(command, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f'needs the right to mount a disk: {error}')
+    yield folder
+    subprocess.run(['umount', '--lazy', str(folder)], check=True)
 
 
 @pytest.fixture(scope='session')

@@ -33,23 +33,21 @@ from dpc_ros.bag import (
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.machine import describe_machine
 from dpc_ros.nodes.loop_node import LoopNode, run_node
-from dpc_ros.nodes.message_definition import find_message_class, message_definition
-from dpc_ros.nodes.message_definition import message_type_name as type_name_of
+from dpc_ros.nodes.message_definition import (
+    find_message_class,
+    message_definition,
+    message_type_name,
+)
+from dpc_ros.nodes.model_files import model_files
 from dpc_ros.nodes.node_parameters import NodeParameters
 from dpc_ros.nodes.offers import fitting_profile, hears_any, offered_profiles, type_hash
 from dpc_ros.nodes.provenance import commands, ros_distribution, software_versions
 from dpc_ros.nodes.topic_selection import TopicSelection
 from dpc_ros.nodes.topics import LOOP_QOS, TOPICS
-from dpc_ros.resources import find_resource
+from dpc_ros.parameters import read_sections
 
 _QUIET = 0.2  # s without a message after which nothing more is on its way
 _MODEL_TOPICS = ('configuration', 'latent_state')  # their frame_id is `<name>@<digest>`
-# Parameters that name a file of the run: folder below config/, suffixes of what belongs to it.
-_MODEL_FILES = {
-    'network': ('systems', ('.json',)),
-    'checkpoint': ('checkpoints', ('.json', '.safetensors')),
-}
-_MEDIA_TYPES = {'.json': 'application/json', '.safetensors': 'application/octet-stream'}
 
 
 @dataclass
@@ -59,6 +57,7 @@ class _Recorded:
     message_type: type[Any]
     profile: QoSProfile
     subscription: Subscription
+    is_of_loop: bool
     publishers: int = 0
     is_in_bag: bool = False
 
@@ -78,7 +77,7 @@ class RecorderNode(LoopNode):
         self._writer: BagWriter | None = None
         self._recorded: dict[str, _Recorded] = {}
         self._refused: set[str] = set()  # topics that can't be recorded, and have been reported
-        self._attached: set[Path] = set()
+        self._attached: set[tuple[str, str]] = set()
         self._ticks: list[Timer] = []
         self._questions: NodeParameters | None = None
         self._last_message = time.monotonic()
@@ -106,12 +105,12 @@ class RecorderNode(LoopNode):
         self._writer.add_metadata(COMMAND_RECORD, commands())
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
-            for section in _sections(parameters_file, parameters):
+            for section in read_sections(parameters, parameters_file).values():
                 self._attach(section)
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)
             if self._selection.selects(name):
-                self._subscribe(name, entry.message_type, entry.qos)
+                self._subscribe(name, entry.message_type, entry.qos, is_of_loop=True)
         self._questions = NodeParameters(self, self._keep_parameters)
         # Half the interval: a tick may come late, a message may not wait longer than promised.
         for period, action in (
@@ -178,25 +177,33 @@ class RecorderNode(LoopNode):
         self._subscribe(name, message_type, fitting)
 
     def _follow_publishers(self, name: str, recorded: _Recorded) -> None:
-        """Ask for less where nobody offers what was asked for; rclpy reports who is not heard."""
+        """Ask for what is offered, where the first publishers come after the subscription.
+
+        Topics of the loop stay as they are: the log holds what the loop can hear, and no more.
+        """
         count = self.count_publishers(name)
-        if count == recorded.publishers:
+        if recorded.is_of_loop or count == recorded.publishers:
             return
         recorded.publishers = count
         publishers = self.get_publishers_info_by_topic(name)
-        if publishers and not hears_any(recorded.profile, publishers):
+        if not publishers or recorded.is_in_bag:
+            return
+        fitting = fitting_profile(publishers, LOOP_QOS.depth)
+        misses_latched = fitting.durability != recorded.profile.durability
+        if misses_latched or not hears_any(recorded.profile, publishers):
             self.destroy_subscription(recorded.subscription)
-            fitting = fitting_profile(publishers, LOOP_QOS.depth)
             recorded.profile = fitting
             recorded.subscription = self._listen(name, recorded.message_type, fitting)
 
-    def _subscribe(self, name: str, message_type: type[Any], offered: QoSProfile) -> None:
+    def _subscribe(
+        self, name: str, message_type: type[Any], offered: QoSProfile, is_of_loop: bool = False
+    ) -> None:
         # Deep on every topic: also one with depth 1 may bring several before they are taken.
         profile = QoSProfile(
             depth=LOOP_QOS.depth, reliability=offered.reliability, durability=offered.durability
         )
         subscription = self._listen(name, message_type, profile)
-        self._recorded[name] = _Recorded(message_type, profile, subscription)
+        self._recorded[name] = _Recorded(message_type, profile, subscription, is_of_loop)
 
     def _listen(self, name: str, message_type: type[Any], profile: QoSProfile) -> Subscription:
         record = partial(self._record, name)
@@ -234,7 +241,7 @@ class RecorderNode(LoopNode):
         writer.add_topic(
             Topic(
                 name=name,
-                type_name=type_name_of(recorded.message_type),
+                type_name=message_type_name(recorded.message_type),
                 definition=message_definition(recorded.message_type),
                 offered_qos_profiles=offered_profiles(publishers),
                 type_hash=type_hash(publishers),
@@ -260,26 +267,22 @@ class RecorderNode(LoopNode):
         Raises:
             OSError: the log can't be written.
         """
-        for parameter in self.settings['attach']:
-            folder, suffixes = _MODEL_FILES[parameter]
-            if not isinstance(parameters.get(parameter), str):
+        for kind in self.settings['attach']:
+            value = parameters.get(kind)
+            if (
+                self._writer is None
+                or not isinstance(value, str)
+                or (kind, value) in self._attached
+            ):
                 continue
+            self._attached.add((kind, value))
             try:
-                path = find_resource(parameters[parameter], folder, '.json')
-                files = {path.with_suffix(suffix): b'' for suffix in suffixes}
-                if path in self._attached:
-                    continue
-                for file in files:
-                    files[file] = file.read_bytes()
+                files = model_files(kind, value)
             except OSError as error:
-                self.say(f'the {parameter} is not attached: {error}', problem=True)
+                self.say(f'the {kind} is not attached: {error}', problem=True)
                 continue
-            self._attached.add(path)
-            for file, data in files.items():
-                name = f'{parameter}/{file.name}'
-                if self._writer is not None:
-                    media_type = _MEDIA_TYPES[file.suffix]
-                    self._writer.add_attachment(name, media_type, data, time.time_ns())
+            for file in files:
+                self._writer.add_attachment(file.name, file.media_type, file.data, time.time_ns())
 
     def _sync(self) -> None:
         if self._writer is not None and not self.failure:
@@ -297,22 +300,6 @@ class RecorderNode(LoopNode):
                     f'{writer.folder} can not be written any further ({error.strerror or error}): '
                     'what was recorded before is kept; make room or choose another folder by `bag`'
                 )
-
-
-def _sections(path: str, text: str) -> list[dict[str, Any]]:
-    """Return the parameters of each section of a parameter file.
-
-    Raises:
-        ValueError: it is none.
-    """
-    try:
-        content = yaml.safe_load(text) or {}
-        return [dict(section['ros__parameters']) for section in content.values()]
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f'{path}: expected a ROS 2 parameter file (node: ros__parameters: …), '
-            f'but {type(error).__name__}: {error}'
-        ) from error
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -2,18 +2,13 @@ import errno
 import itertools
 import os
 import resource
-import struct
-import subprocess
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
@@ -39,34 +34,6 @@ def read_with_mcap(folder):
 def read_with_rosbags(folder):
     with AnyReader([folder]) as reader:
         return [(topic.topic, time, data) for topic, time, data in reader.messages()]
-
-
-def read_unfinished(file):
-    """Return the log times in the complete chunks of a file that has no end."""
-    with file.open('rb') as stream:
-        records = StreamReader(stream, validate_crcs=True).records
-        times = []
-        try:
-            for record in records:
-                if isinstance(record, Message):
-                    times.append(record.log_time)
-        except (McapError, struct.error):  # where the file ends
-            pass
-        return times
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 4 MiB."""
-    folder = tmp_path / 'disk'
-    folder.mkdir()
-    command = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'small', str(folder)]
-    try:
-        subprocess.run(command, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f'needs the right to mount a disk: {error}')
-    yield folder
-    subprocess.run(['umount', '--lazy', str(folder)], check=True)
 
 
 @settings(deadline=None, max_examples=25)
@@ -283,12 +250,17 @@ def test_sequence_numbers_of_64_bits_are_kept_modulo_32(messages, tmp_path):
     assert record.sequence == 2**32 - 1
 
 
-def test_what_is_synced_is_on_the_disk_in_complete_chunks(messages, tmp_path, monkeypatch):
+def test_what_is_synced_is_on_the_disk_in_complete_chunks(
+    messages, tmp_path, monkeypatch, complete_messages
+):
     synced = []
 
     def fsync(descriptor):
         os_fsync(descriptor)
         synced.append((os.readlink(f'/proc/self/fd/{descriptor}'), os.fstat(descriptor).st_size))
+
+    def numbers_in(file):
+        return [message.sequence for message in complete_messages(file)]
 
     os_fsync = os.fsync
     monkeypatch.setattr(os, 'fsync', fsync)
@@ -300,13 +272,13 @@ def test_what_is_synced_is_on_the_disk_in_complete_chunks(messages, tmp_path, mo
             bag.write('/control_force', messages.wrench(time, (0, 1)), time, time, time)
             bag.sync()
             # What is read here is what a killed process leaves behind.
-            assert read_unfinished(file) == list(range(1, time + 1))
+            assert numbers_in(file) == list(range(1, time + 1))
             assert synced[-1] == (str(file), file.stat().st_size)
         count = len(synced)
         bag.sync()
         assert len(synced) == count, 'nothing has come since'
         bag.write('/control_force', messages.wrench(4, (0, 1)), 4, 4, 4)
-        assert read_unfinished(file) == [1, 2, 3]
+        assert numbers_in(file) == [1, 2, 3]
     assert (str(file), file.stat().st_size) in synced
 
 
@@ -394,7 +366,7 @@ def test_on_a_full_disk_the_log_is_finished_with_all_that_came(small_disk, messa
         BagWriter(small_disk / 'other')
 
 
-def test_a_file_that_may_not_grow_keeps_its_complete_chunks(messages, tmp_path):
+def test_a_file_that_may_not_grow_keeps_its_complete_chunks(messages, tmp_path, complete_messages):
     folder, written = tmp_path / 'run', []
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     bag = BagWriter(folder, chunk_size=10_000)
@@ -414,7 +386,7 @@ def test_a_file_that_may_not_grow_keeps_its_complete_chunks(messages, tmp_path):
         bag.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    kept = read_unfinished(folder / 'run_0.mcap')
+    kept = [message.log_time for message in complete_messages(folder / 'run_0.mcap')]
     assert kept == written[: len(kept)]
     assert len(kept) > 0.9 * len(written)
     assert not (folder / 'metadata.yaml').exists()

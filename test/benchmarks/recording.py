@@ -30,14 +30,14 @@ SAMPLING = 0.02  # s between two looks at the recorder's time
 
 
 def measure():
-    """Return one row for each rate."""
+    """Return one row for each rate: seconds of the recorder's processor time per second."""
     return [_row(rate, [_record(rate) for _ in range(REPETITIONS)]) for rate in RATES]
 
 
 def _row(rate, runs):
     share = statistics.median(run['share'] for run in runs)
     return {
-        'benchmark': f'recorder, {rate:g} Hz, per second',
+        'benchmark': f'recorder_{rate:g}_hz',
         'ours_median_s': share,
         'peer': 'a quarter of a core',
         'peer_median_s': QUARTER_OF_A_CORE,

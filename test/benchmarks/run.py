@@ -1,4 +1,4 @@
-"""Run the benchmarks, each beside a peer in one process on one thread.
+"""Run the benchmarks, each beside a peer; all but the recorder's in one process on one thread.
 
     python test/benchmarks/run.py [--results docs/results/benchmarks.json]
 

@@ -3,8 +3,6 @@
 import os
 import shutil
 import signal
-import struct
-import subprocess
 from array import array
 
 import numpy as np
@@ -14,12 +12,10 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
 from rclpy.context import Context
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Empty, Int64MultiArray, String
 
@@ -44,24 +40,12 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def complete_messages(file):
-    """Return the numbers of the messages in the complete chunks of a file, finished or not."""
-    numbers = []
-    with file.open('rb') as stream:
-        try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Message):
-                    numbers.append(record.sequence)
-        except (McapError, struct.error):  # where the file ends
-            pass
-    return numbers
-
-
 class Recording:
     """A recorder in a process, and what the test publishes to it."""
 
-    def __init__(self, domain, observer, folder, *parameters):
+    def __init__(self, domain, observer, complete_messages, folder, *parameters):
         self.domain, self.observer, self.folder = domain, observer, folder
+        self._complete_messages = complete_messages
         given = [part for item in (f'bag:={folder}', *parameters) for part in ('-p', item)]
         self.process = domain.start('recorder_node', '--ros-args', *given)
         observer.wait_for_node('recorder')
@@ -69,6 +53,13 @@ class Recording:
     @property
     def file(self):
         return self.folder / f'{self.folder.name}_0.mcap'
+
+    @property
+    def numbers(self):
+        """Of the messages that are in complete chunks now."""
+        if not self.file.is_file():
+            return []
+        return [message.sequence for message in self._complete_messages(self.file)]
 
     def publisher(self, message_type, topic, qos, node=None):
         """Return a publisher that the recorder is matched with."""
@@ -79,8 +70,7 @@ class Recording:
     def wait_for(self, count):
         """Wait until a number of messages is on the disk."""
         self.observer.wait(
-            lambda: self.file.is_file() and len(complete_messages(self.file)) >= count,
-            f'{count} messages in complete chunks',
+            lambda: len(self.numbers) >= count, f'{count} messages in complete chunks'
         )
 
     def stop(self):
@@ -90,10 +80,11 @@ class Recording:
 
 
 @pytest.fixture
-def recording(domain, observer, tmp_path):
-    return lambda *parameters, folder=tmp_path / 'bag': Recording(
-        domain, observer, folder, *parameters
-    )
+def recording(domain, observer, tmp_path, complete_messages):
+    def start(*parameters, folder=tmp_path / 'bag'):
+        return Recording(domain, observer, complete_messages, folder, *parameters)
+
+    return start
 
 
 def force(number):
@@ -104,9 +95,7 @@ def force(number):
 
 
 def test_topics_by_pattern_of_any_type_and_quality_from_whenever_they_come(recording, observer):
-    made = recording(
-        "topics:=['/lab/*', named, only_listened_to]", "exclude:=['*/noise']", 'split_size:=20000'
-    )
+    made = recording("topics:=['/lab/*', named, only_listened_to]", "exclude:=['*/noise']")
     messages = [
         ('/lab/color', BEST_EFFORT, ColorRGBA(r=0.1, a=1.0)),
         ('/lab/deep/latched', LATCHED, String(data='ξ')),
@@ -135,16 +124,56 @@ def test_topics_by_pattern_of_any_type_and_quality_from_whenever_they_come(recor
     assert decoded['/lab/color'].a == 1.0
 
 
-def test_what_was_latched_before_is_recorded_and_a_lesser_offer_is_followed(recording, observer):
-    target = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
-    target.publish(JointState(position=[1.0, 2.0]))
-    made = recording()
-    made.wait_for(1)
-    # The topics of the loop are listened to as reliable; this publisher is not.
-    push = made.publisher(WrenchStamped, 'external_force', BEST_EFFORT)
-    push.publish(force(1))
+def test_what_was_latched_before_is_recorded(recording, observer):
+    for topic, message in (('target', JointState(position=[1.0])), ('/lab/map', String(data='a'))):
+        observer.node.create_publisher(type(message), topic, TARGET_QOS).publish(message)
+    made = recording("topics:=[target, '/lab/*']")
     made.wait_for(2)
-    assert made.stop().messages == {'/target': 1, '/external_force': 1}
+    assert made.stop().messages == {'/target': 1, '/lab/map': 1}
+
+
+@pytest.mark.parametrize('offered', [BEST_EFFORT, LATCHED], ids=['best_effort', 'latched'])
+def test_the_first_publisher_may_come_after_the_subscription(recording, observer, offered):
+    observer.node.create_subscription(String, '/lab/late', print, offered)
+    made = recording("topics:=['/lab/*']")
+
+    def listeners():
+        return observer.node.get_subscriptions_info_by_topic('/lab/late')
+
+    observer.wait(lambda: len(listeners()) == 2, 'the recorder to listen')
+    publisher = observer.node.create_publisher(String, '/lab/late', offered)
+
+    def is_heard():
+        return (
+            all(
+                each.qos_profile.reliability == offered.reliability
+                and each.qos_profile.durability == offered.durability
+                for each in listeners()
+            )
+            and publisher.get_subscription_count() == 2
+        )
+
+    observer.wait(is_heard, 'the recorder to ask for what is offered')
+    publisher.publish(String(data='a'))
+    made.wait_for(1)
+    assert made.stop().messages == {'/lab/late': 1}
+
+
+def test_a_split_log_is_still_one_log(recording):
+    made = recording("topics:=['/body_2/*']", 'split_size:=20000')
+    publisher = made.publisher(JointState, '/body_2/configuration', LOOP_QOS)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        publisher.publish(JointState(position=array('d', rng.normal(size=400).tobytes())))
+    code, output = made.domain.stop(made.process)
+    assert code == 0, output
+    with AnyReader([made.folder]) as reader:
+        assert reader.message_count == 30
+        assert [connection.topic for connection in reader.connections] == ['/body_2/configuration']
+    for file in made.folder.glob('*.mcap'):
+        metadata = read_contents(file).metadata
+        assert metadata[VERSIONS_RECORD]['dpc_ros'] == __version__
+        assert metadata[LOSSES_RECORD] == {'/body_2/configuration': '0'}
 
 
 def test_the_log_says_what_was_running(domain, observer, tmp_path):
@@ -217,7 +246,7 @@ def test_losses_are_counted_by_topic(recording, observer):
         careless.publish(force(number))
     made.process.send_signal(signal.SIGCONT)
     # The last one is not lost, and the gaps before it are known when it has come.
-    observer.wait(lambda: max(complete_messages(made.file)) == published, 'the last message')
+    observer.wait(lambda: max(made.numbers) == published, 'the last message')
 
     def is_reported():
         reports = [array.status[0] for array in said if array.status[0].name == 'recorder']
@@ -243,10 +272,12 @@ def test_an_idle_recorder_holds_nothing_back_and_a_killed_one_loses_nothing(reco
         publisher.publish(force(number))
     made.wait_for(10)  # and nothing comes that would fill the chunk
     domain.kill(made.process)
-    assert complete_messages(made.file) == list(range(1, 11))
+    assert made.numbers == list(range(1, 11))
 
 
-def test_what_is_recorded_is_synced_within_the_interval(domain, observer, tmp_path, monkeypatch):
+def test_what_is_recorded_is_synced_within_the_interval(
+    domain, observer, tmp_path, monkeypatch, complete_messages
+):
     """In one process, so that the system calls can be seen."""
     folder = tmp_path / 'bag'
     file = folder / 'bag_0.mcap'
@@ -288,20 +319,6 @@ def test_what_is_recorded_is_synced_within_the_interval(domain, observer, tmp_pa
     assert len(synced) > count, 'the end is synced, too'
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 4 MiB."""
-    folder = tmp_path / 'disk'
-    folder.mkdir()
-    command = ['mount', '-t', 'tmpfs', '-o', 'size=4m', 'small', str(folder)]
-    try:
-        subprocess.run(command, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f'needs the right to mount a disk: {error}')
-    yield folder
-    subprocess.run(['umount', '--lazy', str(folder)], check=True)
-
-
 def flood(made):
     """Publish noise until the recorder gives up; return its exit code and errors."""
     publisher = made.publisher(JointState, 'configuration', LOOP_QOS)
@@ -339,7 +356,7 @@ def test_a_file_that_may_not_grow_keeps_what_it_has(recording):
     assert made.process.returncode == 1
     for words in (str(made.folder), 'File too large', 'dpc bag repair'):
         assert words in error
-    numbers = complete_messages(made.file)
+    numbers = made.numbers
     assert numbers == list(range(1, len(numbers) + 1))
     assert len(numbers) * 3200 > limit / 2
     assert not (made.folder / 'metadata.yaml').exists()
