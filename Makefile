@@ -38,12 +38,13 @@ PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet 
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
 INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
 
-.PHONY: help demo test venv clean
+.PHONY: help demo test test-long venv clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
 	@echo 'make test   run linters, type checks and all tests'
+	@echo 'make test-long   run the tests that are too long for every change'
 	@echo 'make venv   only install, into $(VENV)'
 	@echo 'make clean  remove $(VENV) and what the tools left (runs/ stays)'
 
@@ -55,6 +56,9 @@ test: $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest $(ARGS)
+
+test-long: $(VENV)/test.stamp
+	$(BIN)/pytest -m long $(ARGS)
 
 venv: $(VENV)/test.stamp
 

@@ -20,6 +20,7 @@ PAPER_EXPERIMENTS = (
     'interpretability',
     'pointwise',
     'reduced',
+    'control-tuning',
     'control',
     'tables',
 )
@@ -278,8 +279,9 @@ def paper(options: argparse.Namespace) -> None:
     from dpc_ros.paper.commands import run
     from dpc_ros.paper.models import Workshop
 
-    workshop = Workshop(Path(options.data), Path(options.training))
-    run(options.experiment, workshop, Path(options.docs))
+    docs = Path(options.docs)
+    workshop = Workshop(Path(options.data), Path(options.training), docs / 'results')
+    run(options.experiment, workshop, docs)
 
 
 def converge(options: argparse.Namespace) -> None:

@@ -40,6 +40,15 @@ def write_results(
         partial.write_text(json.dumps(content, indent=1, allow_nan=False) + '\n')
 
 
+def read_results(path: str | Path) -> list[dict[str, Any]]:
+    """Return the rows of a file of results; null stands for what was not finite.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    return json.loads(Path(path).read_text())['rows']
+
+
 def command_line() -> str:
     """Return the command that this process runs, without the folder of the program."""
     return ' '.join([Path(sys.argv[0]).name, *sys.argv[1:]])

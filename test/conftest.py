@@ -1,7 +1,10 @@
 """Bodies and autoencoders that the tests share; numpy shapes are checked while they run."""
 
 import base64
+import configparser
 import json
+import os
+import re
 import shutil
 import signal
 import struct
@@ -10,6 +13,7 @@ import sys
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
@@ -38,6 +42,7 @@ install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
 
 from dpc_ros.autoencoder import load_checkpoint  # noqa: E402
 from dpc_ros.bag.mcap_file import read_contents, read_messages  # noqa: E402
+from dpc_ros.control.registry import ENTRY_POINT_GROUP as LAWS_GROUP  # noqa: E402
 from dpc_ros.data import simulate_conditions, thin  # noqa: E402
 from dpc_ros.data.conditions import training_conditions  # noqa: E402
 from dpc_ros.network import (  # noqa: E402
@@ -47,6 +52,7 @@ from dpc_ros.network import (  # noqa: E402
     load_network,
 )
 from dpc_ros.reduction import CompressedSystem  # noqa: E402
+from dpc_ros.resources import share_directory  # noqa: E402
 
 # A shell ignores SIGINT for what it starts in the background, and so would the tests' processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -259,6 +265,21 @@ def install_package(tmp_path, monkeypatch):
         sys.modules.pop(module, None)
 
 
+@pytest.fixture
+def spring(install_package, monkeypatch):
+    """Install the law that the page on control shows, for child processes too; return its name."""
+    page = (share_directory() / 'docs/control.md').read_text()
+    *_, code = re.findall(r'```python\n(.*?)```', page, re.S)
+    (project,) = re.findall(r'```toml\n(.*?)```', page, re.S)
+    parsed = configparser.ConfigParser()  # as far as TOML goes here
+    parsed.read_string(project)
+    ((name, value),) = parsed['project.entry-points."dpc_ros.control_laws"'].items()
+    site = install_package('my_law', code, {name: value.strip('"')}, LAWS_GROUP)
+    paths = [str(site), *filter(None, [os.environ.get('PYTHONPATH')])]
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(paths))
+    return name
+
+
 @pytest.fixture(scope='session')
 def complete_messages():
     """Return a function: MCAP file, finished or not → the messages in its complete chunks."""
@@ -313,7 +334,7 @@ def assert_readers_agree(reader_in_node):
 
     rosbags and dpc_ros read at once, Node all files in one go at the end of the session.
     """
-    files = []
+    files = set()
 
     def check(bag):
         found = sorted(bag.glob('*.mcap'))
@@ -323,12 +344,16 @@ def assert_readers_agree(reader_in_node):
         with AnyReader([bag]) as reader:
             whole = reader.message_count
         assert whole == sum(sum(read_contents(file).messages.values()) for file in found)
-        files.extend(found)
+        files.update(found)
 
     yield check
     if reader_in_node is not None:
-        for file, rows in read_with_node(reader_in_node, files):
+        silent = set(files)
+        for file, rows in read_with_node(reader_in_node, sorted(files)):
             assert_same(file, read_with_rosbags(file), rows)
+            silent.remove(file)
+        for file in silent:
+            assert_same(file, read_with_rosbags(file), [])
 
 
 def read_with_rosbags(file):
@@ -346,14 +371,15 @@ def read_with_dpc_ros(file):
 
 
 def read_with_node(command, files):
-    """Yield each file with what Node finds in it."""
+    """Yield each file that holds messages with what Node finds in it."""
     with subprocess.Popen([*command, *map(str, files)], stdout=subprocess.PIPE) as process:
-        rows = {file: [] for file in files}
-        for line in process.stdout:
-            row = json.loads(line)
-            rows[Path(row['file'])].append((row['topic'], int(row['logTime']), row['message']))
+        rows = map(json.loads, process.stdout)
+        for file, found in groupby(rows, key=itemgetter('file')):
+            yield (
+                Path(file),
+                [(row['topic'], int(row['logTime']), row['message']) for row in found],
+            )
     assert process.returncode == 0, 'Node can not read the files'
-    yield from rows.items()
 
 
 def assert_same(file, rows, others):

@@ -1,15 +1,16 @@
 """Control of the body through its latent coordinates."""
 
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
+from dpc_ros.control.delay import DelayMeter
 from dpc_ros.control.equilibrium import (
     EquilibriumError,
     FeedForward,
     feed_forward,
     reduced_equilibrium,
 )
-from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.law import LONGEST_GAP, ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
-from dpc_ros.control.observer import LatentObserver, ObservedLaw, ObserverSettings
+from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.registry import LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
@@ -23,15 +24,16 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'LONGEST_GAP',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',
+    'DelayMeter',
     'EquilibriumError',
     'FeedForward',
     'Imperfections',
     'LatentObserver',
     'LawSettings',
-    'ObservedLaw',
     'ObserverSettings',
     'PaperLaw',
     'QuadraticRegulator',

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder
 from dpc_ros.control.law import NANOSECOND, ControlLaw
+from dpc_ros.control.observer import LatentObserver
 from dpc_ros.network import Body
 from dpc_ros.threads import single_threaded_algebra
 
@@ -22,8 +23,8 @@ class ClosedLoopRun:
         step: control step [s].
         configuration: q [m].
         velocity: q̇ [m/s].
-        latent: ξ.
-        latent_velocity: ξ̇.
+        latent: ξ as the law got it, measured or estimated.
+        latent_velocity: ξ̇, the same.
         force: u on the actuated mass [N].
     """
 
@@ -43,6 +44,7 @@ class Imperfections:
         hold: steps from one measurement to the next; the force is held meanwhile, at least 1.
         latency: steps from a measurement to its force; zero force before the first.
         noise: deviation of normal noise on every measured coordinate [m].
+        velocity_noise: of that on every measured velocity [m/s].
         seed: of the noise.
 
     Raises:
@@ -52,11 +54,15 @@ class Imperfections:
     hold: int = 1
     latency: int = 0
     noise: float = 0.0
+    velocity_noise: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (self.hold >= 1 and self.latency >= 0 and 0 <= self.noise < np.inf):
-            raise ValueError(f'expected hold ≥ 1, latency ≥ 0 and a finite noise ≥ 0, got {self}')
+        noises = (self.noise, self.velocity_noise)
+        if not (
+            self.hold >= 1 and self.latency >= 0 and all(0 <= each < np.inf for each in noises)
+        ):
+            raise ValueError(f'expected hold ≥ 1, latency ≥ 0 and finite noises ≥ 0, got {self}')
 
 
 def run_closed_loop(
@@ -66,6 +72,7 @@ def run_closed_loop(
     steps: int,
     on_step: Callable[[int], None] = lambda step: None,
     imperfections: Imperfections | None = None,
+    observer: LatentObserver | None = None,
 ) -> ClosedLoopRun:
     """Run body, encoder and controller in turn: encode, compute the force, integrate one step.
 
@@ -76,31 +83,41 @@ def run_closed_loop(
         steps: number of steps; states 0 … steps are encoded and answered.
         on_step: called with the number of each state, for progress.
         imperfections: of measurement and timing; none where left out.
+        observer: estimates the latent state between encoder and controller.
     """
     loop = imperfections or Imperfections()
     draw = np.random.default_rng(loop.seed)
     waiting = [np.zeros(2)] * loop.latency
     rows: list[tuple[np.ndarray, ...]] = []
-    latent: np.ndarray | None = None
-    latent_velocity = answer = np.zeros(2)  # until the first state is measured
+    encoded: np.ndarray | None = None
+    state = (np.zeros(0), np.zeros(0))  # until the first one is measured
+    answer = np.zeros(2)
     period = round(body.integrator.step / NANOSECOND)  # ns, as the simulator's stamps
     with single_threaded_algebra():
         for k in range(steps + 1):
             if k % loop.hold == 0:
-                measured = body.configuration
-                if loop.noise:
-                    measured = measured + loop.noise * draw.standard_normal(measured.shape)
-                latent, latent_velocity = autoencoder.encoder_jacobian_vector_product(
-                    measured, body.velocity, latent
+                stamp = k * period
+                configuration = _noisy(body.configuration, loop.noise, draw)
+                velocity = _noisy(body.velocity, loop.velocity_noise, draw)
+                encoded, encoded_velocity = autoencoder.encoder_jacobian_vector_product(
+                    configuration, velocity, encoded
                 )
-                answer = law.force(latent, latent_velocity, k * period)
+                state = encoded, encoded_velocity
+                if observer is not None:
+                    state = observer.estimate(*state, stamp)
+                answer = law.force(*state, stamp)
+                if observer is not None:
+                    observer.acted(stamp, answer)
             waiting.append(answer)
             force = waiting.pop(0)
-            assert latent is not None
-            rows.append((body.configuration, body.velocity, latent, latent_velocity, force))
+            rows.append((body.configuration, body.velocity, *state, force))
             if k < steps:
                 body.advance(force)
             on_step(k)
     return ClosedLoopRun(
         body.integrator.step, *(np.array(column) for column in zip(*rows, strict=True))
     )
+
+
+def _noisy(values: np.ndarray, deviation: float, draw: np.random.Generator) -> np.ndarray:
+    return values + deviation * draw.standard_normal(values.shape) if deviation else values

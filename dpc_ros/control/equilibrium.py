@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.control.saturation import shorten
+from dpc_ros.control.force_search import next_force
 from dpc_ros.reduction import CompressedSystem
 
 _TOLERANCE = 1e-7  # N per latent unit, on the gradient of the potential at an equilibrium
@@ -94,9 +94,10 @@ def feed_forward(
 ) -> FeedForward:
     """Return u* = argmin_u |D(ξ_eq(u)) − q̄|, with ξ_eq(u) continued from rest (docs/control.md).
 
-    Levenberg–Marquardt over the two components of the force. Each trial's equilibrium continues
-    from the present one, and no step is longer than a bound, so that the search follows one branch
-    of stable equilibria from the unforced one. Its slope is ∂ξ_eq/∂u = (∇²V_η)⁻¹Γ.
+    Levenberg–Marquardt over the two components of the force (`next_force`). Each trial's
+    equilibrium continues from the present one, and no step is longer than a bound, so that the
+    search follows one branch of stable equilibria from the unforced one. Its slope is
+    ∂ξ_eq/∂u = (∇²V_η)⁻¹Γ.
 
     Args:
         system: the compressed system.
@@ -113,9 +114,7 @@ def feed_forward(
     damping = 1e-3
     for _ in range(_SEARCH_ITERATIONS):
         slope = _equilibrium_slope(system, latent, force)
-        normal = slope.T @ slope
-        step = -np.linalg.solve(normal + damping * np.trace(normal) * np.eye(2), slope.T @ residual)
-        trial = shorten(force + shorten(step, _LARGEST_FORCE_STEP), largest_force)
+        trial = next_force(force, slope, residual, damping, _LARGEST_FORCE_STEP, largest_force)
         if np.linalg.norm(trial - force) < _FORCE_TOLERANCE:
             break
         try:

@@ -16,7 +16,7 @@ from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
 NANOSECOND = 1e-9  # s
-_LONGEST_GAP = 0.5  # s
+LONGEST_GAP = 0.5  # s between two stamps of one motion; after a longer one all begins anew
 
 
 @dataclass(frozen=True)
@@ -31,23 +31,26 @@ class LawSettings:
         force_weight: R of the linear-quadratic regulator, mean square of q per square of u [m²/N²].
         velocity_weight: of its mean square of q̇ beside that of q [s²].
         collocated_damping: of the actuated mass against its velocity [N·s/m].
+        equilibrium_starts: searches for the best static equilibrium, at least 2; more find it
+            more often and take longer.
         integral_gain: rate at which the constant part of the force follows the error [1/s].
         integral_delay: time after a new target before it begins to [s].
         options: whatever a law of another package takes beside these.
 
     Raises:
-        ValueError: a number is negative or none, or one but the bound is infinite.
+        ValueError: a number is out of its range or none, or one but the bound is infinite.
     """
 
     largest_force: float = math.inf
     proportional_gain: float = 2.0
     derivative_gain: float = 1.0
     inverse_damping: float = 0.05
-    force_weight: float = 0.03
-    velocity_weight: float = 0.0
-    collocated_damping: float = 1.0
+    force_weight: float = 0.001
+    velocity_weight: float = 0.03
+    collocated_damping: float = 0.3
+    equilibrium_starts: int = 2
     integral_gain: float = 0.0
-    integral_delay: float = 1.0
+    integral_delay: float = 3.0
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -60,6 +63,10 @@ class LawSettings:
                 raise ValueError(f'{name}: expected a number ≥ 0, got {value}')
             if each.name != 'largest_force' and not math.isfinite(value):
                 raise ValueError(f'{name}: expected a finite number, got {value}')
+        if self.equilibrium_starts < 2:
+            raise ValueError(
+                f'equilibrium starts: expected at least 2, got {self.equilibrium_starts}'
+            )
         if not self.force_weight > 0:
             raise ValueError(f'force weight: expected a number > 0, got {self.force_weight}')
 
@@ -98,8 +105,7 @@ class ControlLaw(ABC):
 
         Args:
             latent: ξ of this step.
-            elapsed: time since the step before [s]; zero at the first, and after a gap of more than
-                half a second, in which nobody knows what was.
+            elapsed: time since the step before [s]; zero at the first.
         """
 
     def force(
@@ -110,21 +116,28 @@ class ControlLaw(ABC):
     ) -> Float[np.ndarray, ' 2']:
         """Return u [N], its norm bounded by the largest force.
 
+        After a gap of more than `LONGEST_GAP` since the stamp before the law begins anew: the body
+        was set back, or nobody knows what happened meanwhile.
+
         Args:
             latent: ξ.
             latent_velocity: ξ̇.
             stamp: time of the state [ns]; the same for all where time does not matter.
         """
+        last = stamp if self._last_stamp is None else self._last_stamp
+        elapsed = max(stamp - last, 0) * NANOSECOND
+        if elapsed > LONGEST_GAP:
+            self.restart()
+            elapsed = 0.0
         wanted = self.unbounded_force(latent, latent_velocity)
         force = shorten(wanted, self.settings.largest_force)
         self.saturated = force is not wanted
-        elapsed = 0 if self._last_stamp is None else (stamp - self._last_stamp) * NANOSECOND
         self._last_stamp = stamp
-        self.advance(latent, elapsed if 0 < elapsed <= _LONGEST_GAP else 0.0)
+        self.advance(latent, elapsed)
         return force
 
     def restart(self) -> None:
-        """Begin anew: stamps start again, and so does what the law keeps between steps."""
+        """Begin anew: forget what the law keeps between steps, but not its target."""
         self._last_stamp = None
 
     def _target_latent(self, target: Target) -> Float[np.ndarray, ' m']:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.control.law import NANOSECOND, ControlLaw
-from dpc_ros.control.targets import Target
+from dpc_ros.control.law import LONGEST_GAP, NANOSECOND
 from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
 
 _LONGEST_STEP = 0.01  # s, of a prediction
-_DIFFERENCE = 1e-5  # of a state, for the derivative of a prediction
+_DIFFERENCE = 1e-5  # of a state, for the derivative of the dynamics
 
-State = tuple[Float[np.ndarray, '*rows m'], Float[np.ndarray, '*rows m']]
+State = tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,18 @@ class ObserverSettings:
         acceleration_noise: of what the compressed dynamics leaves out, as white noise on the
             acceleration of each coordinate [m/s^1.5].
         delay: from a measurement to the moment when its force acts [s].
-        longest_gap: without a measurement, after which the filter begins anew [s].
+        longest_gap: without a measurement, after which the filter begins anew [s]; at most
+            `LONGEST_GAP`.
 
     Raises:
-        ValueError: a number is negative or not finite, or a noise of the measurements is zero.
+        ValueError: a number is out of its range or not finite.
     """
 
     position_noise: float = 0.01
     velocity_noise: float = 0.05
     acceleration_noise: float = 0.5
     delay: float = 0.0
-    longest_gap: float = 0.5
+    longest_gap: float = LONGEST_GAP
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -48,29 +49,40 @@ class ObserverSettings:
                 raise ValueError(f'{name}: expected a finite number ≥ 0, got {value}')
         if not (self.position_noise > 0 and self.velocity_noise > 0):
             raise ValueError(f'noise of measurements: expected numbers > 0, got {self}')
+        if self.longest_gap > LONGEST_GAP:
+            raise ValueError(
+                f'longest gap: expected at most {LONGEST_GAP:g} s, after which another motion '
+                f'begins, got {self.longest_gap:g}'
+            )
 
 
 class LatentObserver:
     """Estimates (ξ, ξ̇) from measured ones, their times and the forces that acted between.
 
-    The prediction integrates the compressed system, its covariance is carried by the derivative of
-    that flow; the measurement is the state itself, with the noise of the coordinates as it comes
+    The prediction integrates the compressed system, its covariance is carried by the linearised
+    flow; the measurement is the state itself, with the noise of the coordinates as it comes
     through the decoder's left inverse, σ²(JᵀJ)⁻¹. (Anderson and Moore, Optimal Filtering, section
     8.2.)
 
     Args:
         system: the compressed system.
         settings: noise and delay.
+
+    Attributes:
+        delay: from a measurement to the moment when its force acts [s]; may be set at any time
+            where it is measured.
     """
 
     def __init__(self, system: CompressedSystem, settings: ObserverSettings) -> None:
         self.system = system
         self.settings = settings
+        self.delay = settings.delay
         self.restart()
 
     def restart(self) -> None:
         """Forget everything."""
         self._stamp: int | None = None
+        self._begun: int | None = None  # stamp of the first measurement of the motion [ns]
         self._state: State | None = None
         self._covariance = np.zeros((0, 0))
         self._forces: list[tuple[int, np.ndarray]] = []
@@ -78,10 +90,27 @@ class LatentObserver:
         self.innovation_covariance = np.zeros((0, 0))
 
     def acted(self, stamp: int, force: Float[np.ndarray, ' 2']) -> None:
-        """Note the force [N] that answers the measurement of a stamp [ns]."""
-        kept = stamp - round((self.settings.longest_gap + self.settings.delay) / NANOSECOND)
+        """Note the force [N] that answers the measurement of a stamp [ns].
+
+        One that is known already, or answers a motion before this one, is passed over.
+        """
+        if self._begun is None or stamp < self._begun:
+            return
+        if self._forces and stamp <= self._forces[-1][0]:
+            return
+        kept = stamp - round((self.settings.longest_gap + self.delay) / NANOSECOND)
         self._forces = [each for each in self._forces if each[0] >= kept]
         self._forces.append((stamp, force))
+
+    def estimate(
+        self,
+        latent: Float[np.ndarray, ' m'],
+        velocity: Float[np.ndarray, ' m'],
+        stamp: int,
+    ) -> State:
+        """Take a measurement of a time [ns]; return (ξ, ξ̇) when the answer to it will act."""
+        state = self.update(latent, velocity, stamp)
+        return self.ahead() if self.delay and stamp == self._stamp else state
 
     def update(
         self,
@@ -95,9 +124,14 @@ class LatentObserver:
         """
         if not (np.isfinite(latent).all() and np.isfinite(velocity).all()):
             return latent, velocity  # there is nothing to learn from it
-        noise = self._measurement_covariance(latent)
+        try:
+            noise = self._measurement_covariance(latent)
+        except np.linalg.LinAlgError:
+            return latent, velocity
         gap = math.inf if self._stamp is None else (stamp - self._stamp) * NANOSECOND
         if self._state is None or not 0 <= gap <= self.settings.longest_gap:
+            if not 0 <= gap <= LONGEST_GAP:
+                self._begun, self._forces = stamp, []  # another motion
             return self._begin(latent, velocity, stamp, noise)
         assert self._stamp is not None
         try:
@@ -107,11 +141,14 @@ class LatentObserver:
         except (DivergenceError, np.linalg.LinAlgError):
             return self._begin(latent, velocity, stamp, noise)
         predicted = np.concatenate(state)
-        self.innovation = np.concatenate([latent, velocity]) - predicted
+        innovation = np.concatenate([latent, velocity]) - predicted
+        estimate = predicted + gain @ innovation
+        if not np.isfinite(estimate).all():
+            return self._begin(latent, velocity, stamp, noise)
+        self.innovation = innovation
         self.innovation_covariance = total
         left = np.eye(predicted.size) - gain
         self._covariance = left @ covariance @ left.T + gain @ noise @ gain.T
-        estimate = predicted + gain @ self.innovation
         m = self.system.latent_size
         self._state, self._stamp = (estimate[:m], estimate[m:]), stamp
         return self._state
@@ -124,7 +161,7 @@ class LatentObserver:
         """
         if self._state is None or self._stamp is None:
             raise ValueError('expected a measurement before a prediction')
-        then = self._stamp + round(self.settings.delay / NANOSECOND)
+        then = self._stamp + round(self.delay / NANOSECOND)
         try:
             return self._flow(self._state, self._stamp, then)
         except DivergenceError:
@@ -133,9 +170,7 @@ class LatentObserver:
     def _begin(
         self, latent: np.ndarray, velocity: np.ndarray, stamp: int, noise: np.ndarray
     ) -> State:
-        forces = [] if self._stamp is None or stamp < self._stamp else self._forces
-        self.restart()
-        self._forces = forces
+        self.innovation, self.innovation_covariance = np.zeros(0), np.zeros((0, 0))
         self._state, self._stamp, self._covariance = (latent, velocity), stamp, noise
         return self._state
 
@@ -143,29 +178,47 @@ class LatentObserver:
         self, state: State, covariance: np.ndarray, begin: int, end: int
     ) -> tuple[State, np.ndarray]:
         m = self.system.latent_size
-        point = np.concatenate(state)
-        moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
-        flown = np.hstack(self._flow((moved[:, :m], moved[:, m:]), begin, end))
-        derivative = (flown[1:] - flown[0]).T / _DIFFERENCE
-        duration = (end - begin) * NANOSECOND
-        covariance = derivative @ covariance @ derivative.T
-        covariance += self._process_covariance(state[0], duration)
-        return (flown[0, :m], flown[0, m:]), covariance
+        start, transition = state, np.eye(2 * m)
+        for duration, force in self._pieces(begin, end):
+            transition = self._transition(state, duration, force) @ transition
+            state = self._advance(state, duration, force)
+        covariance = transition @ covariance @ transition.T
+        return state, covariance + self._process_covariance(start[0], (end - begin) * NANOSECOND)
 
     def _flow(self, state: State, begin: int, end: int) -> State:
-        """Return one state, or several as rows, moved on from one time to another [ns]."""
-        delay = round(self.settings.delay / NANOSECOND)
+        """Return a state moved on from one time to another [ns]."""
+        for duration, force in self._pieces(begin, end):
+            state = self._advance(state, duration, force)
+        return state
+
+    def _pieces(self, begin: int, end: int) -> Iterator[tuple[float, np.ndarray]]:
+        """Yield durations [s], each a step of the prediction, and the force [N] acting in each."""
+        delay = round(self.delay / NANOSECOND)
         changes = sorted({begin, end} | {stamp + delay for stamp, _ in self._forces})
         changes = [time for time in changes if begin <= time <= end]
         for first, last in pairwise(changes):
             acting = [force for stamp, force in self._forces if stamp + delay <= first]
             duration = (last - first) * NANOSECOND
             steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-            run = simulate_compressed(
-                self.system, *state, duration / steps, steps, acting[-1] if acting else None
-            )
-            state = (run.latent[-1], run.velocity[-1])
-        return state
+            for _ in range(steps):
+                yield duration / steps, acting[-1] if acting else np.zeros(2)
+
+    def _advance(self, state: State, duration: float, force: np.ndarray) -> State:
+        run = simulate_compressed(self.system, *state, duration, 1, force)
+        return run.latent[-1], run.velocity[-1]
+
+    def _transition(
+        self, state: State, duration: float, force: np.ndarray
+    ) -> Float[np.ndarray, '2*m 2*m']:
+        """Return the derivative of the flow over a step, exp(Ah) to second order."""
+        m = self.system.latent_size
+        point = np.concatenate(state)
+        moved = np.vstack([point, point + _DIFFERENCE * np.eye(2 * m)])
+        with np.errstate(all='ignore'):  # what is not finite begins anew
+            acceleration = self.system.acceleration(moved[:, :m], moved[:, m:], force)
+            below = (acceleration[1:] - acceleration[0]).T / _DIFFERENCE
+        step = duration * np.vstack([np.eye(2 * m)[m:], below])
+        return np.eye(2 * m) + step + step @ step / 2
 
     def _measurement_covariance(self, latent: np.ndarray) -> np.ndarray:
         inverse = self._inverse_spread(latent)
@@ -183,43 +236,3 @@ class LatentObserver:
         """Return (JᵀJ)⁻¹, the covariance of a latent state under unit noise on the coordinates."""
         jacobian = self.system.autoencoder.decoder_jacobian(latent)
         return np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-
-
-class ObservedLaw(ControlLaw):
-    """Another law on the estimated state, at the moment when its force will act.
-
-    Args:
-        law: the law.
-        settings: of the filter.
-    """
-
-    def __init__(self, law: ControlLaw, settings: ObserverSettings) -> None:
-        super().__init__(law.system, law.settings)
-        self.law = law
-        self.observer = LatentObserver(law.system, settings)
-
-    def regulate(self, target: Target) -> None:
-        self.law.regulate(target)
-
-    def unbounded_force(
-        self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
-    ) -> Float[np.ndarray, ' 2']:
-        return self.law.unbounded_force(latent, latent_velocity)
-
-    def force(
-        self,
-        latent: Float[np.ndarray, ' m'],
-        latent_velocity: Float[np.ndarray, ' m'],
-        stamp: int = 0,
-    ) -> Float[np.ndarray, ' 2']:
-        state = self.observer.update(latent, latent_velocity, stamp)
-        if self.observer.settings.delay:
-            state = self.observer.ahead()
-        force = self.law.force(*state, stamp)
-        self.saturated = self.law.saturated
-        self.observer.acted(stamp, force)
-        return force
-
-    def restart(self) -> None:
-        self.law.restart()
-        self.observer.restart()

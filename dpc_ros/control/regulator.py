@@ -32,9 +32,9 @@ class QuadraticRegulator(ControlLaw):
     ∫ mean((Jδξ)²) + w·mean((Jξ̇)²) + R|δu|² dt for the compressed system linearised there:
     M_η δξ̈ + Δ ξ̇ + Jᵀ∇²V(q*)J δξ = Γ δu (Anderson and Moore, Optimal Control, section 3.3).
     c damps the actuated mass, collocated with the force. v integrates the error along the two
-    directions S = ∂ξ_eq/∂u that a constant force can move the equilibrium in: v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(q* −
-    D(ξ)) with S̃ = JS. It waits after a new target, and stands still while the force is saturated.
-    It aims at D(ξ) = q*, which the decoder's error keeps from being ξ = ξ*.
+    directions S = ∂ξ_eq/∂u that a constant force can move the equilibrium in:
+    v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(D(ξ*) − D(ξ)) with S̃ = JS. It waits after a new target,
+    and stands still while the force is saturated.
     """
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
@@ -63,13 +63,11 @@ class QuadraticRegulator(ControlLaw):
         found = self._equilibrium(configuration, reduced)
         if found is None:  # the body itself has none near: the compressed one stands in
             force, latent = reduced.force, reduced.latent
-            goal = autoencoder.decode(latent)
             stiffness = system.potential_hessian(latent, force)
         else:
-            force, goal = found.force, found.configuration
-            latent = autoencoder.encode(goal)
+            force, latent = found.force, autoencoder.encode(found.configuration)
             jacobian = autoencoder.decoder_jacobian(latent)
-            stiffness = jacobian.T @ mechanics.potential_hessian(goal) @ jacobian
+            stiffness = jacobian.T @ mechanics.potential_hessian(found.configuration) @ jacobian
         try:
             gain = self._gain(latent, stiffness)
             field = system.input_field(latent)
@@ -79,7 +77,8 @@ class QuadraticRegulator(ControlLaw):
         except np.linalg.LinAlgError as error:
             raise EquilibriumError(f'no regulator about the equilibrium: {error}') from error
         m = system.latent_size
-        self._target, self._feed_forward, self._goal = latent, force, goal
+        self._target, self._feed_forward = latent, force
+        self._goal = autoencoder.decode(latent)
         self._latent_gain = gain[:, :m]
         self._velocity_gain = gain[:, m:] + settings.collocated_damping * field.T
         self._slope, self._integrator = slope, integrator
@@ -115,10 +114,10 @@ class QuadraticRegulator(ControlLaw):
     def _equilibrium(
         self, target: Float[np.ndarray, ' n'], reduced: FeedForward
     ) -> StaticBound | None:
-        """Return the body's equilibrium nearest to the target of three searches, if there is any.
+        """Return the body's equilibrium nearest to the target of several searches, if there is any.
 
-        One begins at the reduced equilibrium, the others are those of `static_bound`, from rest
-        and from the target.
+        One begins at the reduced equilibrium, the others are those of `static_bound`: from rest,
+        from the target, and from random forces where more than two are asked for.
         """
         system, largest = self.system, self.settings.largest_force
         body = ConstantForce(system.mechanics, system.actuated_mass)
@@ -127,8 +126,9 @@ class QuadraticRegulator(ControlLaw):
         with suppress(EquilibriumError):
             found.append(nearest_equilibrium(body, target, reduced.force, start, largest))
         with suppress(EquilibriumError):
+            starts = self.settings.equilibrium_starts
             found.append(
-                static_bound(system.mechanics, system.actuated_mass, target, largest, starts=2)
+                static_bound(system.mechanics, system.actuated_mass, target, largest, starts)
             )
         return min(found, key=lambda each: each.rms, default=None)
 

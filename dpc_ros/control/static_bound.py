@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from tqdm import tqdm
 
 from dpc_ros.control.equilibrium import EquilibriumError
+from dpc_ros.control.force_search import next_force
 from dpc_ros.control.saturation import shorten
 from dpc_ros.network import Mechanics
 
@@ -252,9 +253,8 @@ def nearest_equilibrium(
 ) -> StaticBound:
     """Return the equilibrium nearest to a target on the branch that a force and a start lead to.
 
-    Levenberg–Marquardt over the two components of the force, each trial's equilibrium continued
-    from the present one with the slope ∂q_eq/∂u = (∇²V)⁻¹G (Nocedal and Wright, Numerical
-    Optimization, section 10.3).
+    Levenberg–Marquardt over the two components of the force (`next_force`), each trial's
+    equilibrium continued from the present one with the slope ∂q_eq/∂u = (∇²V)⁻¹G.
 
     Args:
         body: the body under a constant force.
@@ -274,10 +274,7 @@ def nearest_equilibrium(
             slope = body.slope(configuration)
         except EquilibriumError:  # at the end of the branch
             break
-        normal = slope.T @ slope
-        damped = normal + damping * np.trace(normal) * np.eye(2)
-        step = shorten(-np.linalg.solve(damped, slope.T @ residual), _LARGEST_FORCE_STEP)
-        trial = shorten(force + step, largest_force)
+        trial = next_force(force, slope, residual, damping, _LARGEST_FORCE_STEP, largest_force)
         if np.linalg.norm(trial - force) < _FORCE_TOLERANCE:
             break
         try:

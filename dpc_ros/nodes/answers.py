@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.control import LONGEST_GAP
+
 
 class Answers:
     """Remembers the newest question with its stamp and answer; sees when stamps begin anew.
@@ -17,6 +20,11 @@ class Answers:
         self._question: Any = None
         self._answer: Any = None
 
+    @property
+    def newest(self) -> tuple[int, Any]:
+        """Stamp [ns] and content of the last answer; −1 and none before the first."""
+        return self._stamp, self._answer
+
     def repeated(self, stamp: int, question: Any) -> Any:
         """Return the answer already given to the same question at the same stamp [ns], or none."""
         return self._answer if stamp == self._stamp and question == self._question else None
@@ -24,6 +32,13 @@ class Answers:
     def starts_epoch(self, stamp: int) -> bool:
         """Return whether a stamp [ns] lies before the newest one."""
         return stamp < self._stamp
+
+    def begins_anew(self, stamp: int) -> bool:
+        """Return whether a motion begins at a stamp [ns]: an epoch, or after a leap of the stamps.
+
+        A simulator that sets its body back leaps ahead by more than any gap within a motion.
+        """
+        return self.starts_epoch(stamp) or stamp - self._stamp > LONGEST_GAP * NANOSECONDS
 
     def remember(self, stamp: int, question: Any, answer: Any) -> None:
         """Keep the answer to a question at a stamp [ns] as the newest."""

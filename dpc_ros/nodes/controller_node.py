@@ -16,8 +16,6 @@ from sensor_msgs.msg import JointState
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.control import (
     LawSettings,
-    ObservedLaw,
-    ObserverSettings,
     Target,
     TargetSchedule,
     load_target,
@@ -58,11 +56,6 @@ class ControllerNode(LoopNode):
             Mechanics(network, gravity), autoencoder, settings['actuated_mass']
         )
         self._law = make_law(settings['law'], system, _law_settings(settings))
-        if settings['observer'] == 'kalman':
-            names = (each.name for each in fields(ObserverSettings))
-            self._law = ObservedLaw(
-                self._law, ObserverSettings(**{name: settings[name] for name in names})
-            )
         self._network = network
         self._identifier = checkpoint.identifier
         self._names = latent_names(system.latent_size)

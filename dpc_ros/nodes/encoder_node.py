@@ -4,78 +4,183 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from sensor_msgs.msg import JointState
 
-from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.network import load_network
+from dpc_ros.autoencoder import Autoencoder, load_checkpoint, with_encoder
+from dpc_ros.control import DelayMeter, LatentObserver, ObserverSettings
+from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
 from dpc_ros.nodes.answers import Answers
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
     from_stamp,
     latent_names,
+    read_force,
     read_state,
     state_message,
 )
+from dpc_ros.nodes.parameters import ParameterError
+from dpc_ros.nodes.turns import Turns
+from dpc_ros.reduction import CompressedSystem
+
+_CLOCKS_DIFFER = 'no loop has the delay that was measured: synchronise the clocks of the hosts'
 
 
 class EncoderNode(LoopNode):
-    """Compresses each configuration by the encoder and its Jacobian."""
+    """Compresses each configuration by the encoder and its Jacobian, and estimates, if asked to.
+
+    An observer has to know the force that answered the state before: a configuration waits for it.
+    """
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('encoder', context)
 
     def configure(self) -> None:
-        network = load_network(self.settings['network'])
-        checkpoint = load_checkpoint(self.settings['checkpoint'])
+        settings = self.settings
+        network = load_network(settings['network'])
+        checkpoint = load_checkpoint(settings['checkpoint'])
         checkpoint.check_network(network)
         self._autoencoder = with_encoder(
-            checkpoint.autoencoder(),
-            self.settings['encoder'],
-            self.settings['projection_iterations'],
+            checkpoint.autoencoder(), settings['encoder'], settings['projection_iterations']
         )
+        self._observer = _make_observer(network, self._autoencoder, settings)
+        self._delay = DelayMeter() if settings['measure_delay'] else None
+        self._mass = settings['actuated_mass']
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
         self._names = latent_names(self._autoencoder.latent_size)
         self._answers = Answers()
-        self._last_latent: np.ndarray | None = None
-        rest = network.rest_configuration
-        self._autoencoder.encoder_jacobian_vector_product(rest, np.zeros_like(rest))  # warm up
+        self._begin_anew()
+        self._warm_up(network.rest_configuration)
         self._latent_state = self.create_output('latent_state')
-        self.create_input('configuration', self._encode)
+        # An observer that has no time for a state bridges it, rather than be late for all others.
+        observes = self._observer is not None
+        self.create_input('configuration', self._take_configuration, newest_only=observes)
+        if observes:
+            self.create_input('control_force', self._take_force)
 
-    def _encode(self, message: JointState, info: dict[str, int]) -> None:
+    def activate(self) -> None:
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._last_latent: np.ndarray | None = None
+        self._turns = Turns()
+        if self._observer is not None:
+            self._observer.restart()
+
+    def _warm_up(self, configuration: np.ndarray) -> None:
+        state = self._autoencoder.encoder_jacobian_vector_product(
+            configuration, np.zeros_like(configuration)
+        )
+        if self._observer is not None:
+            for stamp in range(2):
+                self._observer.update(*state, stamp)
+            self._observer.restart()
+
+    def _take_configuration(self, message: JointState, info: dict[str, int]) -> None:
         if not (self.receive('configuration', info) and self.matched(self._latent_state)):
             return
-        begin = time.perf_counter()
         try:
-            configuration, velocity = read_state(
-                message, self._network_identifier, self._coordinate_names
-            )
+            state = read_state(message, self._network_identifier, self._coordinate_names)
         except MessageError as error:
             self.reject('configuration', error)
             return
         stamp = from_stamp(message.header.stamp)
-        answer = self._answers.repeated(stamp, message)
-        if answer is None:
+        if self._delay is not None:
             if self._answers.starts_epoch(stamp):
-                self._last_latent = None
-            latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
-                configuration, velocity, self._last_latent
-            )
-            self._last_latent = latent
-            answer = state_message(
-                message.header.stamp, self._identifier, latent, latent_velocity, self._names
-            )
-            self._answers.remember(stamp, message, answer)
-        else:
+                self._delay.restart()
+            self._delay.configuration(stamp, info['source_timestamp'], info['received_timestamp'])
+        repeated = self._answers.repeated(stamp, message)
+        if repeated is None and self._answers.begins_anew(stamp):
+            self._begin_anew()
+        if repeated is None and self._turns.waits(stamp):
+            _, repeated = self._answers.newest  # the controller repeats the force that is missing
+        if repeated is not None:
             self.health.repeated += 1
+            self.publish(self._latent_state, repeated)
+        elif self._observer is None:
+            self._answer(message, state)
+        else:
+            for each in self._turns.come(stamp, (message, state)):
+                self._answer(*each)
+
+    def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
+        if not self.receive('control_force', info):
+            return
+        stamp = from_stamp(message.header.stamp)
+        newest, _ = self._answers.newest
+        if newest < 0:
+            return  # the answer to an encoder that was here before
+        try:
+            mass, force = read_force(message)
+            if mass != self._mass:
+                raise MessageError(f'expected mass {self._mass}, got {mass}')
+            if stamp > newest:
+                raise MessageError('its stamp is that of no state so far')
+        except MessageError as error:
+            self.reject('control_force', error)
+            return
+        assert self._observer is not None
+        if self._delay is not None:
+            self._measure(self._delay, self._observer, stamp, info['received_timestamp'])
+        self._observer.acted(stamp, force)
+        for each in self._turns.answered(stamp):
+            self._answer(*each)
+
+    def _measure(
+        self, delay: DelayMeter, observer: LatentObserver, stamp: int, received: int
+    ) -> None:
+        delay.force(stamp, received)
+        observer.delay = delay.acting_delay
+        if delay.delay is not None:
+            self.health.readings['measured delay [ms]'] = f'{1e3 * delay.delay:.3f}'
+            self.health.readings['foreseen delay [ms]'] = f'{1e3 * observer.delay:.3f}'
+        if not delay.is_believable:
+            self.health.warning = _CLOCKS_DIFFER
+            self.say(_CLOCKS_DIFFER, problem=True)
+        elif self.health.warning == _CLOCKS_DIFFER:
+            self.health.warning = ''
+
+    def _answer(self, message: JointState, state: tuple[np.ndarray, np.ndarray]) -> None:
+        begin = time.perf_counter()
+        stamp = from_stamp(message.header.stamp)
+        latent, latent_velocity = self._autoencoder.encoder_jacobian_vector_product(
+            *state, self._last_latent
+        )
+        self._last_latent = latent
+        if self._observer is not None:
+            latent, latent_velocity = self._observer.estimate(latent, latent_velocity, stamp)
+        answer = state_message(
+            message.header.stamp, self._identifier, latent, latent_velocity, self._names
+        )
+        self._answers.remember(stamp, message, answer)
         self.publish(self._latent_state, answer)
         self.health.processed(time.perf_counter() - begin)
+
+
+def _make_observer(
+    network: MassSpringNetwork, autoencoder: Autoencoder, parameters: Mapping[str, Any]
+) -> LatentObserver | None:
+    """Return the observer that the node's parameters ask for: they have its settings' names."""
+    observes = parameters['observer'] == 'kalman'
+    if parameters['measure_delay'] and not observes:
+        raise ParameterError('measure_delay: expected observer kalman, which foresees the delay')
+    if parameters['measure_delay'] and parameters['delay']:
+        raise ParameterError('measure_delay: expected delay 0, or measure_delay false: not both')
+    if not observes:
+        return None
+    gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
+    system = CompressedSystem(Mechanics(network, gravity), autoencoder, parameters['actuated_mass'])
+    names = (each.name for each in fields(ObserverSettings))
+    return LatentObserver(system, ObserverSettings(**{name: parameters[name] for name in names}))
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -56,6 +56,7 @@ class Health:
         self.rejected: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()  # messages by topic
         self.warning = ''
+        self.readings: dict[str, str] = {}  # what else a node measures, by name and unit
         self._processing: list[float] = []
         self._reported = (time.monotonic(), 0)
 
@@ -79,6 +80,7 @@ class Health:
             'lost': self.lost.total(),
             **{f'lost: {topic}': count for topic, count in self.lost.items()},
             'saturated': self.saturated,
+            **self.readings,
             **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
         }
         if self._processing:

@@ -140,6 +140,15 @@ def make_plan(
                 parameters[node][name] = declaration.check(value)
             except ParameterError as error:
                 raise ParameterError(f'{node}: {error}') from error
+    observes = parameters['encoder']['observer'] != 'none'
+    if (
+        parameters['encoder']['measure_delay']
+        and parameters['simulator']['time_mode'] != 'realtime'
+    ):
+        raise ParameterError(
+            'encoder: measure_delay: expected a simulator with time_mode realtime; in lockstep a '
+            'force acts at once'
+        )
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in given[node]:
             readers = [*declarations(node)['expected_subscribers'].default]
@@ -147,6 +156,7 @@ def make_plan(
                 readers.append(RECORDER)
             if output in MONITORED:
                 readers.append(LAUNCHER)
+            readers += ['encoder'] * (node == 'controller' and observes)
             parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
 

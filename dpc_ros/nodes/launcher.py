@@ -167,7 +167,7 @@ def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     if options.law is not None:
         overrides.setdefault('controller', {})['law'] = options.law
     if options.mass is not None:
-        for node in ('simulator', 'controller'):
+        for node in LOOP:
             overrides.setdefault(node, {})['actuated_mass'] = options.mass
     if options.duration is not None:
         overrides.setdefault('simulator', {})['duration'] = options.duration

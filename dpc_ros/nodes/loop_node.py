@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -133,12 +134,24 @@ class LoopNode(LifecycleNode):
         self._outputs.append(publisher)
         return publisher
 
-    def create_input(self, topic: str, callback: Callable[..., None]) -> None:
-        """Subscribe to a topic of the loop; a callback may take the message's info as well."""
+    def create_input(
+        self,
+        topic: str,
+        callback: Callable[..., None],
+        newest_only: bool = False,
+    ) -> None:
+        """Subscribe to a topic of the loop.
+
+        Args:
+            topic: its name.
+            callback: takes the message, and its info where it has a second argument.
+            newest_only: leave out all but the newest of what has come while the node was busy.
+        """
         entry = TOPICS[topic]
-        self._inputs.append(
-            self.create_subscription(entry.message_type, topic, callback, entry.qos)
-        )
+        qos = copy(entry.qos)
+        if newest_only:
+            qos.depth = 1
+        self._inputs.append(self.create_subscription(entry.message_type, topic, callback, qos))
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.

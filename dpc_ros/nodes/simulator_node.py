@@ -15,17 +15,20 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.control import LONGEST_GAP
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
+
+_RESET_LEAP = 2 * LONGEST_GAP  # s of the stamps, by which encoder and controller see a reset
 
 
 class SimulatorNode(LoopNode):
     """Advances the body in lockstep with the controller, or by the wall clock.
 
-    State k carries the stamp k·step, and `_awaited` is the stamp of the state published last. In
-    lockstep the force with that stamp starts the next step. In realtime the first force starts a
-    wall timer, which steps under the force that came last.
+    State k carries the stamp k·step, and more by a leap for each reset; `_awaited` is the stamp of
+    the state published last. In lockstep the force with that stamp starts the next step. In
+    realtime the first force starts a wall timer, which steps under the force that came last.
     """
 
     def __init__(self, context: Context | None = None) -> None:
@@ -50,6 +53,8 @@ class SimulatorNode(LoopNode):
         self._last_step = math.ceil(settings['duration'] * NANOSECONDS / self._step_ns)
         self._realtime = settings['time_mode'] == 'realtime'
         self._step = 0
+        self._leapt = 0  # steps left out of the stamps
+        self._reset_at = 0  # stamp of the first state since the last reset [ns]
         self._answered = False  # the present state has been, by a force with its stamp
         self._running = False  # a first force has come
         self._paused = False
@@ -91,7 +96,7 @@ class SimulatorNode(LoopNode):
     @property
     def _awaited(self) -> int:
         """Stamp of the present state [ns]."""
-        return self._step * self._step_ns
+        return (self._step + self._leapt) * self._step_ns
 
     @property
     def _at_end(self) -> bool:
@@ -113,8 +118,8 @@ class SimulatorNode(LoopNode):
             return
         if stamp == self._awaited and not self._answered:
             self._answered = True
-        elif not self._realtime:
-            self.health.repeated += 1  # the answer to a state that was published twice
+        elif not self._realtime or stamp < self._reset_at:
+            self.health.repeated += 1  # of a state that was published twice, or before a reset
             return
         self._force = force
         self._answered_at = self._now()
@@ -222,7 +227,8 @@ class SimulatorNode(LoopNode):
         self._body.reset()
         self._force = np.zeros(2)
         self._pushes.clear()
-        self._step += 1  # stamps rise for ever
+        self._leapt += math.ceil(_RESET_LEAP * NANOSECONDS / self._step_ns)  # stamps rise for ever
+        self._reset_at = self._awaited
         self._answered = False
         self._answered_at = self._now()
         if self.active:

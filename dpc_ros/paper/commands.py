@@ -90,6 +90,10 @@ def _pointwise(workshop: Workshop, rows: list[dict[str, Any]], docs: Path) -> li
     return [path]
 
 
+def _no_figure(workshop: Workshop, rows: list[dict[str, Any]], docs: Path) -> list[Path]:
+    return []
+
+
 _Measure = Callable[[Workshop], Any]  # the rows of one file, or of several by their names
 _Draw = Callable[[Workshop, Any, Path], list[Path]]
 
@@ -101,6 +105,7 @@ EXPERIMENTS: dict[str, tuple[_Measure, int | None, _Draw]] = {
     'interpretability': (interpretability.measure, TRAINING_SEED, _interpretability),
     'pointwise': (pointwise.measure, TRAINING_SEED, _pointwise),
     'reduced': (reduced.measure, TRAINING_SEED, reduced.draw),
+    'control-tuning': (control.tune_gains, control.SEED, _no_figure),
     'control': (control.measure, control.SEED, control.draw),
 }
 NAMES = (*EXPERIMENTS, 'tables')

@@ -45,11 +45,13 @@ class Workshop:
     Attributes:
         data: folder of simulated data.
         training: folder of checkpoints and of states of unfinished trainings.
+        results: folder of the files of measured numbers, that some experiments go on from.
         progress: show progress bars.
     """
 
     data: Path
     training: Path
+    results: Path
     progress: bool = True
 
     def trained(self, model: Model, system: str, latent_size: int) -> Trained:

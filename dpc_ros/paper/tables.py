@@ -305,9 +305,10 @@ def _laws(rows: Rows) -> str:
     for row in rows:
         if row['experiment'] != 'paper_targets':
             continue
+        many = row.get('equilibrium_starts', 2) > 2
         body.append(
             [
-                row['law'],
+                row['law'] + (f', {row["equilibrium_starts"]} starts' if many else ''),
                 row['checkpoint'].partition('@')[0].removeprefix('paper_2_').replace('_', ', '),
                 _short(row['final_nmse_median']),
                 _short(row['final_nmse_max']),
@@ -363,12 +364,15 @@ def _condition(row: dict[str, Any]) -> str:
         return f'gravity of {row["gravity_m_s2"]:g} m/s²'
     for name in ('stiffness', 'damping', 'mass'):
         if f'{name}_factor' in row:
-            return f'true {name} × {row[f"{name}_factor"]:g}'
+            integral = f', integral gain {row["integral_gain"]:g}/s' if row['integral_gain'] else ''
+            return f'true {name} × {row[f"{name}_factor"]:g}{integral}'
     parts = [
         f'hold {1e3 * row["hold_s"]:.0f} ms',
         f'latency {1e3 * row["latency_s"]:.0f} ms',
         f'σ = {row["sigma_m"]:g} m',
     ]
+    if row.get('sigma_velocity_m_s'):
+        parts.append(f'{row["sigma_velocity_m_s"]:g} m/s')
     return ', '.join(parts) + (', filtered' if row['observer'] == 'kalman' else '')
 
 

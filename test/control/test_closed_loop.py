@@ -8,7 +8,9 @@ import pytest
 from dpc_ros.control import (
     LAWS,
     Imperfections,
+    LatentObserver,
     LawSettings,
+    ObserverSettings,
     Target,
     load_target,
     make_law,
@@ -117,7 +119,50 @@ def test_noise_is_on_what_is_measured_alone(run_small, small_system):
     assert np.abs(run.force - other.force).max() > 0
 
 
-@pytest.mark.parametrize('bad', [{'hold': 0}, {'latency': -1}, {'noise': -0.1}, {'noise': np.nan}])
+def test_noise_on_velocities_is_of_their_own(run_small, small_system):
+    noisy = Imperfections(velocity_noise=0.1, seed=3)
+    _, run = run_small(imperfections=noisy)
+    autoencoder = small_system(3).autoencoder
+    errors = []
+    for k in range(STEPS + 1):
+        latent, velocity = autoencoder.encoder_jacobian_vector_product(
+            run.configuration[k], run.velocity[k]
+        )
+        np.testing.assert_array_equal(run.latent[k], latent)
+        errors.append(run.latent_velocity[k] - velocity)
+    assert np.abs(errors).min() > 0
+    # The noise of the encoder's input comes through its Jacobian, which is near that at rest.
+    jacobian = np.column_stack(
+        [
+            autoencoder.encoder_jacobian_vector_product(run.configuration[0], direction)[1]
+            for direction in np.eye(24)
+        ]
+    )
+    expected = noisy.velocity_noise * np.linalg.norm(jacobian, axis=1)
+    np.testing.assert_allclose(np.std(errors, axis=0), expected, rtol=0.5)
+
+
+def test_the_law_gets_the_estimate(run_small, small_system):
+    """And what is recorded is that estimate, of one who knows the measurements and the forces."""
+    system, settings = small_system(3), ObserverSettings(delay=0.01)
+    law, run = run_small(observer=LatentObserver(system, settings))
+    again, encoded = LatentObserver(system, settings), None
+    with single_threaded_algebra():
+        for k in range(STEPS + 1):
+            encoded, velocity = system.autoencoder.encoder_jacobian_vector_product(
+                run.configuration[k], run.velocity[k], encoded
+            )
+            state = again.estimate(encoded, velocity, k * 5_000_000)
+            again.acted(k * 5_000_000, run.force[k])
+            np.testing.assert_array_equal([run.latent[k], run.latent_velocity[k]], state)
+            np.testing.assert_array_equal(run.force[k], law.force(*state))
+    assert np.abs(run.latent - system.autoencoder.encode(run.configuration)).max() > 0
+
+
+@pytest.mark.parametrize(
+    'bad',
+    [{'hold': 0}, {'latency': -1}, {'noise': -0.1}, {'noise': np.nan}, {'velocity_noise': -0.1}],
+)
 def test_bad_imperfections_are_refused(bad):
     with pytest.raises(ValueError, match='expected hold ≥ 1'):
         Imperfections(**bad)

@@ -162,7 +162,7 @@ def test_a_target_that_does_not_fit_leaves_the_old_one(small_system, target, nam
 
 
 @pytest.mark.parametrize('value', [-1.0, np.nan])
-@pytest.mark.parametrize('key', [each.name for each in fields(LawSettings)][:-1])
+@pytest.mark.parametrize('key', [each.name for each in fields(LawSettings) if each.type == 'float'])
 def test_settings_have_to_be_numbers(value, key):
     with pytest.raises(ValueError, match=f'{key.replace("_", " ")}: expected a number'):
         LawSettings(**{key: value})
@@ -174,6 +174,8 @@ def test_only_the_bound_may_be_infinite():
         LawSettings(integral_gain=np.inf)
     with pytest.raises(ValueError, match='force weight: expected a number > 0'):
         LawSettings(force_weight=0.0)
+    with pytest.raises(ValueError, match='equilibrium starts: expected at least 2, got 1'):
+        LawSettings(equilibrium_starts=1)
 
 
 def test_an_unknown_law_names_the_known_ones(small_system):
@@ -210,23 +212,28 @@ def regulator(small_system, target):
     return law
 
 
+def held(regulator):
+    """Return the equilibrium of the full body under the regulator's feed-forward."""
+    body = ConstantForce(regulator.system.mechanics, regulator.system.actuated_mass)
+    return body.equilibrium(regulator.feed_forward, regulator._goal)
+
+
 def test_regulator_rests_at_the_bodys_own_equilibrium(regulator, target):
     """Of no other constant force nearby is the equilibrium nearer to the target."""
     system = regulator.system
-    goal, force = regulator._goal, regulator.feed_forward
-    gradient = system.mechanics.potential_gradient(goal)
-    np.testing.assert_allclose(gradient, system.full_input_field @ force, atol=1e-8)
+    goal, force = held(regulator), regulator.feed_forward
     latent = system.autoencoder.encode(goal)
-    np.testing.assert_allclose(regulator.force(latent, np.zeros(3)), force, atol=1e-12)
+    np.testing.assert_allclose(regulator.force(latent, np.zeros(3)), force, atol=1e-7)
     slope = ConstantForce(system.mechanics, system.actuated_mass).slope(goal)
     assert np.abs(slope.T @ (goal - target.configuration)).max() < 1e-6
 
 
 def test_gain_is_the_one_of_the_riccati_equation(regulator):
     system, settings = regulator.system, regulator.settings
-    latent = system.autoencoder.encode(regulator._goal)
+    goal = held(regulator)
+    latent = system.autoencoder.encode(goal)
     jacobian = system.autoencoder.decoder_jacobian(latent)
-    stiffness = jacobian.T @ system.mechanics.potential_hessian(regulator._goal) @ jacobian
+    stiffness = jacobian.T @ system.mechanics.potential_hessian(goal) @ jacobian
     a, b = regulator.linearised(latent, stiffness)
     gain = np.hstack([regulator._latent_gain, regulator._velocity_gain])
     gain[:, 3:] -= settings.collocated_damping * system.input_field(latent).T
@@ -276,8 +283,19 @@ def test_integral_waits_then_moves_with_the_error_and_starts_anew(small_system, 
     changes = np.diff(forces[12:], axis=0)
     np.testing.assert_allclose(changes, np.broadcast_to(changes[0], changes.shape), rtol=1e-6)
     assert np.linalg.norm(changes[0]) > 0
+    # a gap of a second: nobody knows what happened meanwhile
+    after_a_leap = [law.force(latent, np.zeros(3), (140 + k) * step) for k in range(40)]
+    np.testing.assert_array_equal(after_a_leap, forces)
     law.restart()
     np.testing.assert_array_equal(law.force(latent, np.zeros(3), 0), forces[0])
+
+
+def test_integral_rests_where_the_law_does(small_system, target):
+    law = QuadraticRegulator(small_system(3), LawSettings(integral_gain=2.0, integral_delay=0.0))
+    law.regulate(target)
+    for k in range(20):
+        force = law.force(law._target, np.zeros(3), k * 10_000_000)
+        np.testing.assert_array_equal(force, law.feed_forward)
 
 
 def test_integral_stands_still_while_the_force_is_saturated(small_system, target):
@@ -343,22 +361,6 @@ def test_a_riccati_equation_without_solution_leaves_the_old_target(
     with pytest.raises(EquilibriumError, match='no regulator about the equilibrium: no solution'):
         law.regulate(Target(latent=np.zeros(3)))
     np.testing.assert_array_equal(law.force(*state), before)
-
-
-def test_integral_does_not_jump_over_a_gap(small_system, target):
-    settings = LawSettings(integral_gain=2.0, integral_delay=0.0)
-    law = QuadraticRegulator(small_system(3), settings)
-    law.regulate(target)
-    latent = law._target + 0.2
-    law.force(latent, np.zeros(3), 0)
-    before = law.force(latent, np.zeros(3), 10_000_000)
-    law.force(latent, np.zeros(3), 60_000_000_000)
-    moved = law._integral.copy()
-    law.force(latent, np.zeros(3), 60_010_000_000)
-    again = law._integral - moved
-    assert np.linalg.norm(again) > 0
-    np.testing.assert_allclose(moved, again, rtol=1e-6)  # of the one step before the gap
-    assert np.isfinite(before).all()
 
 
 def test_a_law_of_this_package_takes_no_options(small_system):

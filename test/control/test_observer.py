@@ -5,11 +5,7 @@ import pytest
 
 from dpc_ros.control import (
     LatentObserver,
-    LawSettings,
-    ObservedLaw,
     ObserverSettings,
-    Target,
-    make_law,
 )
 from dpc_ros.reduction import simulate_compressed
 
@@ -120,22 +116,40 @@ def test_no_prediction_without_a_measurement(small_system):
         LatentObserver(small_system(3), NOISE).ahead()
 
 
-def test_an_observed_law_answers_the_estimate(small_system, small_configurations):
+def test_an_estimate_is_for_the_moment_when_its_answer_acts(small_system):
     system = small_system(3)
-    law = make_law('lqr', system, LawSettings(largest_force=0.5))
-    observed = ObservedLaw(make_law('lqr', system, LawSettings(largest_force=0.5)), NOISE)
-    for each in (law, observed):
-        each.regulate(Target(configuration=small_configurations[20]))
-    np.testing.assert_array_equal(observed.force(*START, 0), law.force(*START, 0))
-    assert observed.saturated == law.saturated
-    estimate = observed.observer.update(*START, NANOSECONDS)
-    again = ObservedLaw(law, NOISE)
-    again.force(*START, 0)
-    np.testing.assert_allclose(
-        again.force(*START, NANOSECONDS), law.force(*estimate, NANOSECONDS), atol=1e-12
+    plain, delayed = (LatentObserver(system, NOISE) for _ in range(2))
+    delayed.delay = 3 * STEP  # may be measured, and change
+    for k in range(4):
+        expected = plain.update(*START, k * NANOSECONDS)
+        np.testing.assert_array_equal(plain.estimate(*START, k * NANOSECONDS + 1), plain.ahead())
+        estimate = delayed.estimate(*START, k * NANOSECONDS)
+        if k == 0:
+            run = simulate_compressed(system, *expected, STEP, 3)
+            np.testing.assert_array_equal(estimate, (run.latent[-1], run.velocity[-1]))
+
+
+def test_a_force_counts_once(small_system):
+    once, twice = (LatentObserver(small_system(3), NOISE) for _ in range(2))
+    for observer, forces in ((once, 1), (twice, 2)):
+        observer.update(*START, 0)
+        for other in range(forces):
+            observer.acted(0, np.array([1.0, other]))
+    np.testing.assert_array_equal(
+        once.update(*START, NANOSECONDS), twice.update(*START, NANOSECONDS)
     )
-    again.restart()
-    np.testing.assert_array_equal(again.force(*START, 0), law.force(*START, 0))
+
+
+def test_forces_of_another_motion_are_forgotten(small_system):
+    """After a leap of the stamps no force acts until a new one is known."""
+    system, leap = small_system(3), 100 * NANOSECONDS
+    observer, fresh = (LatentObserver(system, ObserverSettings(delay=STEP)) for _ in range(2))
+    observer.update(*START, 0)
+    observer.acted(0, np.array([1.0, -1.0]))
+    for k in (0, 1):
+        estimates = [each.estimate(*START, leap + k * NANOSECONDS) for each in (observer, fresh)]
+        observer.acted(3 * NANOSECONDS, np.ones(2))  # late
+        np.testing.assert_array_equal(*estimates)
 
 
 @pytest.mark.parametrize('value', [-1.0, np.nan, np.inf])
@@ -143,6 +157,11 @@ def test_an_observed_law_answers_the_estimate(small_system, small_configurations
 def test_bad_settings_are_refused(name, value):
     with pytest.raises(ValueError, match=f'{name.replace("_", " ")}: expected a finite number'):
         ObserverSettings(**{name: value})
+
+
+def test_a_gap_longer_than_a_reset_leaps_is_refused():
+    with pytest.raises(ValueError, match=r'longest gap: expected at most 0\.5 s'):
+        ObserverSettings(longest_gap=0.6)
 
 
 def test_measurements_without_noise_are_refused():

@@ -1,28 +1,11 @@
 """A law of another package runs like those of this one. The package is the one of the page."""
 
-import configparser
-import re
-
 import numpy as np
 import pytest
 
 from dpc_ros.control import ControlLaw, LawSettings, Target, check_law, make_law
 from dpc_ros.control.registry import ENTRY_POINT_GROUP as GROUP
 from dpc_ros.control.registry import law_names
-from dpc_ros.resources import share_directory
-
-
-@pytest.fixture
-def spring(install_package):
-    """Install the law that the page on control shows."""
-    page = (share_directory() / 'docs/control.md').read_text()
-    *_, code = re.findall(r'```python\n(.*?)```', page, re.S)
-    (project,) = re.findall(r'```toml\n(.*?)```', page, re.S)
-    parsed = configparser.ConfigParser()  # as far as TOML goes here
-    parsed.read_string(project)
-    ((name, value),) = parsed['project.entry-points."dpc_ros.control_laws"'].items()
-    install_package('my_law', code, {name: value.strip('"')}, GROUP)
-    return name
 
 
 def test_the_law_of_the_page_pulls_the_mass_to_its_place(spring, small_system):

@@ -114,6 +114,10 @@ def test_the_bound_heeds_the_largest_force(small_mechanics, body, rest):
     assert np.linalg.norm(bound.force) <= 0.5 + 1e-12
     free = static_bound(small_mechanics, MASS, target, starts=3)
     assert free.nmse < bound.nmse
+    for angle in np.linspace(0, 2 * np.pi, 24):  # no other force of that length is better
+        force = 0.5 * np.array([np.cos(angle), np.sin(angle)])
+        q = body.equilibrium(force, bound.configuration)
+        assert np.mean((q - target) ** 2) >= bound.rms**2 * (1 - 1e-9)
 
 
 def test_more_starts_are_never_worse(small_mechanics, body, rest):

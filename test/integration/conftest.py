@@ -20,7 +20,13 @@ from rclpy.executors import SingleThreadedExecutor
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import LOSSES_RECORD, read_run
 from dpc_ros.bag.mcap_file import read_messages
-from dpc_ros.control import LawSettings, ObservedLaw, load_target, make_law, run_closed_loop
+from dpc_ros.control import (
+    LatentObserver,
+    LawSettings,
+    load_target,
+    make_law,
+    run_closed_loop,
+)
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
@@ -199,10 +205,10 @@ def in_process():
         autoencoder = with_encoder(load_checkpoint(checkpoint).autoencoder(), encoder)
         system = CompressedSystem(mechanics, autoencoder, mass)
         law = make_law(law_name, system, LawSettings(largest_force=20.0, **settings))
-        if observer is not None:
-            law = ObservedLaw(law, observer)
         law.regulate(load_target(target, network))
-        return run_closed_loop(Body(Integrator(mechanics, 0.005), mass), autoencoder, law, steps)
+        body = Body(Integrator(mechanics, 0.005), mass)
+        estimates = LatentObserver(system, observer) if observer is not None else None
+        return run_closed_loop(body, autoencoder, law, steps, observer=estimates)
 
     return run
 

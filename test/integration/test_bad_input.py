@@ -62,6 +62,12 @@ def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
         ('simulator', ['actuated_mass:=205'], ('no mass 205', '0 to 204')),
         ('encoder', ['network:=paper_1'], ('paper_2_extended_m5', 'trained on paper_2', 'paper_1')),
         ('encoder', ['checkpoint:=nothing'], ('nothing', 'paper_2_extended_m5')),
+        ('encoder', ['measure_delay:=true'], ('measure_delay', 'observer kalman')),
+        (
+            'encoder',
+            ['observer:=kalman', 'measure_delay:=true', 'delay:=0.01'],
+            ('measure_delay', 'delay 0', 'not both'),
+        ),
         ('controller', ['actuated_mass:=3'], ('mass 3', 'fixed')),
         ('controller', ['target:=simulation:9@1'], ('simulation:9@1', '[1, 2, 3, 4, 5, 6, 7]')),
         ('controller', ['target:=simulation:1@5000'], ('5000', '0 to 1000')),
@@ -108,6 +114,7 @@ def test_bad_target_files(domain, tmp_path, content, words):
         (['--set', 'recorder.topics=[a b]'], ('recorder: topics', 'names of topics', 'a b')),
         (['--namespace', 'bad name'], ('namespace', '/bad name')),
         (['--config', 'nowhere.yaml'], ('nowhere.yaml',)),
+        (['--set', 'encoder.measure_delay=true'], ('measure_delay', 'realtime', 'lockstep')),
         (['--config', __file__], ('expected a ROS 2 parameter file',)),
     ],
 )

@@ -3,11 +3,17 @@
 import csv
 import itertools
 
+import numpy as np
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
+from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.bag import read_run
 from dpc_ros.control import ObserverSettings
+from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.topics import LOOP_QOS
 from dpc_ros.resources import config_path
 
@@ -46,18 +52,23 @@ def test_every_kind_of_encoder_gives_the_same(
     assert_repeats(tmp_path / 'run' / 'bag', in_process(checkpoint, encoder, steps=50))
 
 
-def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process):
-    """The first of the 50 of `dpc paper control`, with integral action beside."""
+@pytest.mark.parametrize(
+    'number', [1, *(pytest.param(number, marks=pytest.mark.long) for number in (2, 3, 4, 5))]
+)
+def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process, number):
+    """One of the 50 of `dpc paper control`, with integral action beside."""
     with config_path('control', 'paper_targets.csv').open(newline='') as file:
-        row = next(csv.DictReader(file))
+        row = list(csv.DictReader(file))[number - 1]
+    assert row['run'] == str(number)
     mass, target = row['actuated_mass'], row['target']
     code, output = domain.run(
         'launcher',
         *('--output', str(tmp_path / 'run'), '--mass', mass, '--target', target),
         *('--law', 'lqr', '--set', 'controller.integral_gain=0.5'),
+        *('--set', 'controller.integral_delay=1.0'),
     )
     assert code == 0, output
-    expected = in_process(mass=int(mass), target=target, integral_gain=0.5)
+    expected = in_process(mass=int(mass), target=target, integral_gain=0.5, integral_delay=1.0)
     assert_repeats(tmp_path / 'run' / 'bag', expected)
 
 
@@ -69,13 +80,78 @@ def test_every_law_gives_the_same(domain, tmp_path, assert_repeats, in_process, 
     assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, law_name=law))
 
 
-def test_an_observed_law_gives_the_same(domain, tmp_path, assert_repeats, in_process):
-    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
-    arguments += ['--set', 'controller.observer=kalman', '--set', 'controller.delay=0.01']
+def test_a_law_of_another_package_gives_the_same(
+    domain, tmp_path, assert_repeats, in_process, spring
+):
+    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--law', spring]
+    arguments += ['--set', 'controller.law_options={stiffness: 5.0}']
+    code, output = domain.run('launcher', *arguments)
+    assert code == 0, output
+    expected = in_process(steps=50, law_name=spring, options={'stiffness': 5.0})
+    run = assert_repeats(tmp_path / 'run' / 'bag', expected)
+    assert np.abs(run.force).max() > 0
+
+
+@pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
+def test_estimates_are_the_same(domain, tmp_path, assert_repeats, in_process, mode):
+    """Though DDS keeps no order between forces and configurations; for another mass as well."""
+    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--mass', '122', *mode]
+    arguments += ['--set', 'encoder.observer=kalman', '--set', 'encoder.delay=0.01']
     code, output = domain.run('launcher', *arguments)
     assert code == 0, output
     observer = ObserverSettings(delay=0.01)
-    assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, observer=observer))
+    expected = in_process(steps=50, mass=122, observer=observer)
+    run = assert_repeats(tmp_path / 'run' / 'bag', expected)
+    encoded = load_checkpoint('paper_2_extended_m5').autoencoder().encode(run.configuration)
+    assert np.abs(run.latent - encoded).max() > 0
+    written = yaml.safe_load((tmp_path / 'run' / 'parameters.yaml').read_text())
+    readers = written['/**/controller']['ros__parameters']['expected_subscribers']
+    assert 'encoder' in readers  # none of its forces may be missing
+
+
+def test_a_reset_begins_anew(domain, observer, plan, in_process):
+    """Law, encoder and observer then do what they did at first, under stamps that rise on."""
+    settings = {'law': 'lqr', 'integral_gain': 0.5, 'integral_delay': 0.0}
+    made = plan(
+        simulator={'duration': 0.0, 'expected_subscribers': ['encoder', 'recorder', 'observer']},
+        encoder={'observer': 'kalman', 'delay': 0.01},
+        controller={**settings, 'expected_subscribers': ['simulator', 'encoder', 'recorder']},
+    )
+    stamps = []
+    reset = observer.node.create_client(Trigger, 'simulator/reset')
+    nodes = {kind: domain.start_node(kind, made) for kind in ('recorder', *LOOP)}
+    observer.wait(reset.service_is_ready, 'the service')
+    observer.node.create_subscription(
+        JointState,
+        'configuration',
+        lambda message: stamps.append(from_stamp(message.header.stamp)),
+        LOOP_QOS,
+    )
+    observer.wait(lambda: len(set(stamps)) > 40, 'states before the reset')
+    called = reset.call_async(Trigger.Request())
+    observer.wait(called.done, 'the reset')
+    observer.wait(lambda: (np.diff(stamps) >= 10**9).any(), 'the leap')
+    leap = stamps[int(np.argmax(np.diff(stamps) >= 10**9)) + 1]
+    observer.wait(lambda: stamps[-1] > leap + 50 * 5_000_000, 'states after the reset')
+    for kind in (*LOOP, 'recorder'):
+        code, output = domain.stop(nodes[kind])
+        assert code == 0, output
+    run = read_run(made.bag)
+    expected = in_process(
+        steps=50, observer=ObserverSettings(delay=0.01), integral_gain=0.5, integral_delay=0.0
+    )
+    for begin in (0, leap):
+        for name, its_stamps in (
+            ('configuration', run.configuration_stamp),
+            ('latent', run.latent_stamp),
+            ('force', run.force_stamp),
+        ):
+            first = int(np.searchsorted(its_stamps, begin))
+            np.testing.assert_array_equal(
+                its_stamps[first : first + 40], begin + np.arange(40) * 5_000_000
+            )
+            found = getattr(run, name)[first : first + 40]
+            np.testing.assert_array_equal(found, getattr(expected, name)[:40])
 
 
 def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats):

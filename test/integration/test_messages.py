@@ -1,5 +1,6 @@
 """What a node does with a message that it can't use: it reports and goes on."""
 
+import itertools
 from array import array
 
 import numpy as np
@@ -14,9 +15,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.autoencoder import load_checkpoint
-from dpc_ros.network import load_network, save_network
+from dpc_ros.control import LatentObserver, ObserverSettings
+from dpc_ros.network import Mechanics, load_network, save_network
 from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
+from dpc_ros.reduction import CompressedSystem
+from dpc_ros.threads import single_threaded_algebra
 
 NETWORK = load_network('paper_2')
 LATENT_NAMES = [f'xi_{i}' for i in range(5)]
@@ -126,6 +130,68 @@ def test_a_repeated_stamp_is_answered_the_same_and_an_earlier_one_begins_anew(do
     client.stop()
 
 
+def test_an_estimate_waits_for_the_force_before(domain, observer):
+    client = Client(observer, domain, 'encoder', 'observer:=kalman')
+    client.connect(JointState, 'configuration', JointState, 'latent_state')
+    forces = observer.node.create_publisher(WrenchStamped, 'control_force', LOOP_QOS)
+    observer.wait(lambda: forces.get_subscription_count() > 0, 'the force to be matched')
+    late = 10**9  # another motion than that of the greeting
+    client.greet(configuration(1), configuration(late))
+    client.answers.clear()
+    autoencoder = load_checkpoint('paper_2_extended_m5').autoencoder()
+    system = CompressedSystem(Mechanics(NETWORK), autoencoder, 162)
+    filtered = LatentObserver(system, ObserverSettings())
+    state = autoencoder.encoder_jacobian_vector_product(NETWORK.rest_configuration, np.zeros(400))
+
+    def at(step):
+        return 2 * late + step * 5_000_000
+
+    def stamps():
+        return [from_stamp(answer.header.stamp) for answer in client.answers]
+
+    def assert_estimated(answer):
+        with single_threaded_algebra():
+            estimate = filtered.estimate(*state, from_stamp(answer.header.stamp))
+        np.testing.assert_array_equal([answer.position, answer.velocity], estimate)
+
+    def assert_waits(message):
+        """Sent again, it makes the encoder ask for the missing force by its last answer."""
+        last, count = client.answers[-1], len(client.answers)
+
+        def send_again():
+            client.publisher.publish(message)
+            return len(client.answers) > count
+
+        observer.wait(send_again, 'the last answer again')
+        assert client.answers[-1] == last
+
+    assert_estimated(client.ask(configuration(at(0))))
+    assert_waits(configuration(at(1)))
+    forces.publish(force_message(to_stamp(at(0)), 7, np.zeros(2)))
+    forces.publish(force_message(to_stamp(at(5)), 162, np.zeros(2)))
+    for _ in range(2):  # what comes twice counts once
+        forces.publish(force_message(to_stamp(at(0)), 162, np.array([1.0, 2.0])))
+    filtered.acted(at(0), np.array([1.0, 2.0]))
+    observer.wait(lambda: stamps()[-1] == at(1), 'the estimate that waited')
+    assert_estimated(client.answers[-1])
+    forces.publish(force_message(to_stamp(at(1)), 162, np.zeros(2)))
+    filtered.acted(at(1), np.zeros(2))
+    client.publisher.publish(configuration(at(2)))
+    observer.wait(lambda: stamps()[-1] == at(2), 'the next estimate')
+    assert_estimated(client.answers[-1])
+    assert client.ask(configuration(at(2))) == client.answers[-2]
+    # A newer one, after two that were lost: both go on without the force.
+    assert_waits(configuration(at(3)))
+    client.publisher.publish(configuration(at(6)))
+    observer.wait(lambda: stamps()[-1] == at(6), 'the newer estimate')
+    assert [stamp for stamp, _ in itertools.groupby(stamps())] == [at(k) for k in (0, 1, 2, 3, 6)]
+    for answer in client.answers[-2:]:
+        assert_estimated(answer)
+    output = client.stop()
+    for words in ('expected mass 162, got 7', 'of no state so far'):
+        assert words in output
+
+
 def test_controller_takes_targets_and_refuses_bad_ones(domain, observer):
     client = Client(observer, domain, 'controller', 'law:=paper', 'proportional_gain:=1.0')
     client.connect(JointState, 'latent_state', WrenchStamped, 'control_force')
@@ -222,7 +288,8 @@ def test_simulator_services_and_pushes(domain, observer):
     assert not call(Trigger, 'step')  # the new state is not answered yet
     assert call(SetBool, 'pause', data=False)
     assert call(Trigger, 'reset')
-    observer.wait(lambda: stamp() == 10_000_000, 'the state after the reset')
+    leap = 1_000_000_000  # by which encoder and controller see that the body was set back
+    observer.wait(lambda: stamp() == leap + 5_000_000, 'the state after the reset')
     np.testing.assert_array_equal(client.answers[-1].position, NETWORK.rest_configuration)
     pushes = observer.node.create_publisher(WrenchStamped, 'external_force', LOOP_QOS)
     observer.wait(lambda: pushes.get_subscription_count() > 0, 'the push to be matched')

@@ -5,6 +5,7 @@ import signal
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
@@ -110,3 +111,26 @@ def test_without_a_controller_a_realtime_body_is_left_alone(domain, observer, pl
     late = np.abs(states[-1].velocity).max()
     assert early > 0
     assert np.isfinite(late)
+
+
+def test_the_delay_of_the_loop_is_measured(domain, observer, tmp_path):
+    values = {}
+
+    def take(message):
+        for status in message.status:
+            if status.name == 'encoder':
+                values.update({pair.key: pair.value for pair in status.values})
+
+    observer.node.create_subscription(DiagnosticArray, '/diagnostics', take, 10)
+    chosen = [f'--set=encoder.{value}' for value in ('observer=kalman', 'measure_delay=true')]
+    output = ['--output', str(tmp_path / 'run'), '--no-record']
+    launcher = domain.start('launcher', *output, '--realtime', '--duration', '0', *chosen)
+    observer.wait(lambda: 'measured delay [ms]' in values, 'a measured delay')
+    launcher.send_signal(signal.SIGINT)
+    observer.wait(lambda: launcher.poll() is not None, 'the launcher to end')
+    assert launcher.returncode == 130, launcher.stdout.read()
+    measured = float(values['measured delay [ms]'])
+    foreseen = float(values['foreseen delay [ms]'])
+    assert 0 < measured < np.inf
+    assert foreseen % 5 == pytest.approx(0, abs=1e-6)  # whole control steps
+    assert foreseen <= measured + 5

@@ -1,29 +1,29 @@
 """The control experiment runs what its files say and counts what came of it."""
 
-import json
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from dpc_ros.control import Imperfections, LawSettings, load_target
+from dpc_ros.control import Imperfections, load_target
 from dpc_ros.network import load_network
-from dpc_ros.paper import control
+from dpc_ros.paper import control, control_rows, control_tuning, regulation
+from dpc_ros.paper.regulation import LIMIT
 from dpc_ros.resources import share_directory
+from dpc_ros.results import read_results
 
 RESULTS = share_directory() / 'docs' / 'results'
-LIMIT = LawSettings(largest_force=20.0)
 
 
 def outcome(*nmse):
     """Return a run of 5 s whose error takes these values over equal parts of it."""
-    return control.Outcome(np.repeat(nmse, 1001 // len(nmse) + 1)[:1001].astype(float))
+    return regulation.Outcome(np.repeat(nmse, 1001 // len(nmse) + 1)[:1001].astype(float))
 
 
 @pytest.fixture(scope='module')
 def tasks():
-    return control.load_tasks('paper_targets')
+    return regulation.load_tasks('paper_targets')
 
 
 def test_targets_are_drawn_as_the_paper_says(tasks, paper_2):
@@ -51,20 +51,20 @@ def test_no_target_is_one_that_gains_are_chosen_on():
 
 def test_reachable_targets_are_held(mechanics):
     network = load_network('paper_2')
-    for task in control.load_tasks('tuning_reachable_targets')[:3]:
-        bound = control._bound(2, control.NO_GRAVITY, None, task)
+    for task in regulation.load_tasks('tuning_reachable_targets', 3):
+        bound = regulation.bound(task, starts=2)
         assert bound < 1e-3
         assert np.abs(task.target - network.rest_configuration).max() > 1e-3
 
 
 def test_a_run_reaches_what_is_possible(tasks):
     task = tasks[7]
-    bound = control._bound(2, control.NO_GRAVITY, None, task)
-    found = control._run('lqr', 'paper_2_extended_m5', LIMIT, 5.0, task)
+    bound = regulation.bound(task, starts=2)
+    found = regulation.regulate('lqr', 'paper_2_extended_m5', LIMIT, 5.0, task)
     assert found.nmse[0] == 1.0
     assert found.final < 1.2 * bound
     assert found.peak_force <= 20.0 * (1 + 1e-12)
-    noisy = control._run(
+    noisy = regulation.regulate(
         'lqr', 'paper_2_extended_m5', LIMIT, 0.1, task, imperfections=Imperfections(noise=0.1)
     )
     assert np.abs(noisy.nmse[:21] - found.nmse[:21]).max() > 0
@@ -72,7 +72,7 @@ def test_a_run_reaches_what_is_possible(tasks):
 
 def test_a_body_that_diverges_fails_and_stays_a_number(tasks):
     wild = replace(LIMIT, proportional_gain=1e6, derivative_gain=0.0, largest_force=1e6)
-    found = control._run('transpose', 'paper_2_extended_m5', wild, 1.0, tasks[0])
+    found = regulation.regulate('transpose', 'paper_2_extended_m5', wild, 1.0, tasks[0])
     assert found.failed
     assert found.reason
     assert not np.isnan(found.nmse).any()
@@ -81,7 +81,7 @@ def test_a_body_that_diverges_fails_and_stays_a_number(tasks):
 
 def test_the_time_of_a_run_does_not_depend_on_its_step(tasks):
     coarse, fine = (
-        control._run('lqr', 'paper_2_extended_m5', LIMIT, 1.0, tasks[7], step=step)
+        regulation.regulate('lqr', 'paper_2_extended_m5', LIMIT, 1.0, tasks[7], step=step)
         for step in (0.005, 0.001)
     )
     assert len(fine.nmse) == 1001
@@ -103,7 +103,7 @@ def test_what_is_counted_of_a_run():
 
 def test_a_summary_is_beside_the_bound_of_each_run():
     found = [outcome(1.0, 0.2), outcome(1.0, 0.3), outcome(1.0, 3.0)]
-    row = control.summary(found, [0.1, 0.3, 0.5])
+    row = control_rows.summary(found, [0.1, 0.3, 0.5])
     assert (row['runs'], row['failed']) == (3, 1)
     assert row['final_over_bound_median'] == pytest.approx(2.0)
     assert row['final_nmse_median'] == pytest.approx(0.3)
@@ -121,9 +121,36 @@ def test_the_best_gains_are_those_of_the_smallest_error():
         }
         for alpha, error in ((1.0, 0.5), (2.0, 0.1), (3.0, np.inf))
     ]
-    (settings,) = control._best_gains(rows).values()
+    (settings,) = control_tuning.best_gains(rows).values()
     assert settings.proportional_gain == 2.0
     assert settings.largest_force == 20.0
+
+
+def test_the_best_regulator_is_the_quickest_that_bears_the_hardest_loop():
+    rows = [
+        {
+            'law': 'lqr',
+            'checkpoint': 'a@1',
+            'force_weight': weight,
+            'velocity_weight': 0.0,
+            'collocated_damping': 1.0,
+            'final_over_bound_median': over,
+            'failed': failed,
+            'nmse_3s_median': error,
+        }
+        for weight, over, failed, error in (
+            (1.0, 1.0, 0, 0.4),
+            (2.0, 1.0, 0, 0.2),
+            (3.0, 1.5, 0, 0.1),
+            (4.0, 1.0, 1, 0.1),
+        )
+    ]
+    assert control_tuning.best_regulator(rows).force_weight == 2.0
+
+
+def test_the_defaults_are_the_gains_that_the_tuning_chose():
+    rows = read_results(RESULTS / 'control_tuning.json')
+    assert control_tuning.best_regulator(rows) == LIMIT
 
 
 def test_tuning_reads_other_targets_only(monkeypatch):
@@ -131,18 +158,20 @@ def test_tuning_reads_other_targets_only(monkeypatch):
 
     def tasks_of(name):
         read.append(name)
-        return []
+        return [None]
 
-    monkeypatch.setattr(control, 'load_tasks', tasks_of)
-    monkeypatch.setattr(control, '_LAWS', (('paper', 'paper_2_flat_m2'),))
-    rows = control._tune(lambda description, function, tasks: [outcome(1.0)])
-    assert read == ['tuning_targets']
-    assert len(rows) == 9
+    def each(description, function, tasks):
+        return [1.0] if 'bounds' in description else [outcome(1.0)]
+
+    monkeypatch.setattr(control_tuning, 'load_tasks', tasks_of)
+    assert control_tuning.tune(each, [('paper', 'paper_2_flat_m2'), ('lqr', 'paper_2_pod_m5')])
+    assert control_tuning.tune_regulator(each, 'paper_2_pod_m5')
+    assert read == ['tuning_targets', 'tuning_targets', 'tuning_reachable_targets']
 
 
 def test_results_hold_every_run_and_the_figure_follows(tmp_path):
     rows = {
-        name: json.loads((RESULTS / f'{name}.json').read_text())['rows']
+        name: read_results(RESULTS / f'{name}.json')
         for name in ('control', 'control_runs', 'control_time')
     }
     laws = [row for row in rows['control'] if row['experiment'] == 'paper_targets']
@@ -151,7 +180,9 @@ def test_results_hold_every_run_and_the_figure_follows(tmp_path):
         runs = [
             row
             for row in rows['control_runs']
-            if (row['law'], row['checkpoint']) == (law['law'], law['checkpoint'])
+            if all(
+                row.get(key) == law.get(key) for key in ('law', 'checkpoint', 'equilibrium_starts')
+            )
         ]
         assert sum(run['failed'] for run in runs) == law['failed']
     control.draw_time(rows['control_time'], tmp_path / 'control.png')
@@ -159,6 +190,6 @@ def test_results_hold_every_run_and_the_figure_follows(tmp_path):
 
 
 def test_workers_end_with_the_experiment():
-    with control._workers() as pool:
-        found = control._in_turn(pool, False, 'tasks', partial(pow, 2), [1, 2, 3])
+    with regulation.each_task(progress=False) as each:
+        found = each('tasks', partial(pow, 2), [1, 2, 3])
     assert found == [2, 4, 8]

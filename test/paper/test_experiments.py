@@ -41,7 +41,7 @@ def rows_of(name):
 @pytest.fixture(scope='module')
 def workshop(tmp_path_factory):
     folder = tmp_path_factory.mktemp('paper')
-    return Workshop(folder / 'data', folder / 'training', progress=False)
+    return Workshop(folder / 'data', folder / 'training', DOCS / 'results', progress=False)
 
 
 @pytest.fixture(scope='module')
