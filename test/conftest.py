@@ -13,6 +13,7 @@ import sys
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
@@ -333,7 +334,7 @@ def assert_readers_agree(reader_in_node):
 
     rosbags and dpc_ros read at once, Node all files in one go at the end of the session.
     """
-    files = []
+    files = set()
 
     def check(bag):
         found = sorted(bag.glob('*.mcap'))
@@ -343,12 +344,16 @@ def assert_readers_agree(reader_in_node):
         with AnyReader([bag]) as reader:
             whole = reader.message_count
         assert whole == sum(sum(read_contents(file).messages.values()) for file in found)
-        files.extend(found)
+        files.update(found)
 
     yield check
     if reader_in_node is not None:
-        for file, rows in read_with_node(reader_in_node, files):
+        silent = set(files)
+        for file, rows in read_with_node(reader_in_node, sorted(files)):
             assert_same(file, read_with_rosbags(file), rows)
+            silent.remove(file)
+        for file in silent:
+            assert_same(file, read_with_rosbags(file), [])
 
 
 def read_with_rosbags(file):
@@ -366,14 +371,15 @@ def read_with_dpc_ros(file):
 
 
 def read_with_node(command, files):
-    """Yield each file with what Node finds in it."""
+    """Yield each file that holds messages with what Node finds in it."""
     with subprocess.Popen([*command, *map(str, files)], stdout=subprocess.PIPE) as process:
-        rows = {file: [] for file in files}
-        for line in process.stdout:
-            row = json.loads(line)
-            rows[Path(row['file'])].append((row['topic'], int(row['logTime']), row['message']))
+        rows = map(json.loads, process.stdout)
+        for file, found in groupby(rows, key=itemgetter('file')):
+            yield (
+                Path(file),
+                [(row['topic'], int(row['logTime']), row['message']) for row in found],
+            )
     assert process.returncode == 0, 'Node can not read the files'
-    yield from rows.items()
 
 
 def assert_same(file, rows, others):
