@@ -5,12 +5,22 @@ from __future__ import annotations
 from collections import deque
 from itertools import pairwise
 from statistics import median
+from typing import NamedTuple
 
 from dpc_ros.control.law import NANOSECOND
 
 LONGEST_DELAY = 1.0  # s; what is longer is a difference of clocks
 _WINDOW = 100  # messages
 _ENOUGH = 20  # of them, before their median counts
+
+
+class _Sent(NamedTuple):
+    """A configuration that was sent: stamp [ns], number, time of sending and way to here [ns]."""
+
+    stamp: int
+    number: int
+    time: int
+    way_out: int
 
 
 class DelayMeter:
@@ -27,24 +37,31 @@ class DelayMeter:
 
     def restart(self) -> None:
         """Forget everything."""
-        self._sent: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)
+        self._sent: deque[_Sent] = deque(maxlen=_WINDOW)
         self._delays: deque[int] = deque(maxlen=_WINDOW)
         self._newest = -1  # stamp of the forces so far
 
-    def configuration(self, stamp: int, sent: int, received: int) -> None:
-        """Note when the configuration of a stamp was sent and came; all in [ns]."""
-        if self._sent and self._sent[-1][0] == stamp:
+    def configuration(self, stamp: int, number: int, sent: int, received: int) -> None:
+        """Note when the configuration of a stamp was sent and came.
+
+        Args:
+            stamp: of the configuration [ns].
+            number: the publisher's, which tells how many were left out since the one before.
+            sent: when it was, by the clock of the body's host [ns].
+            received: when it came, by the clock here [ns].
+        """
+        if self._sent and self._sent[-1].stamp == stamp:
             self._sent.pop()  # sent again: the answer is to this one
-        self._sent.append((stamp, sent, received - sent))
+        self._sent.append(_Sent(stamp, number, sent, received - sent))
 
     def force(self, stamp: int, received: int) -> None:
         """Note when the first force of a stamp came; both in [ns]."""
         if stamp <= self._newest:
             return
         self._newest = stamp
-        for its_stamp, sent, way_out in self._sent:
-            if its_stamp == stamp:
-                self._delays.append(received - sent + way_out)
+        for each in self._sent:
+            if each.stamp == stamp:
+                self._delays.append(received - each.time + each.way_out)
 
     @property
     def delay(self) -> float | None:
@@ -66,7 +83,9 @@ class DelayMeter:
         delay = self.delay
         if delay is None or not self.is_believable:
             return 0.0
-        ticks = list(pairwise(self._sent))
-        step = median(later[0] - earlier[0] for earlier, later in ticks)
-        period = median(later[1] - earlier[1] for earlier, later in ticks) * NANOSECOND
+        ticks = [(a, b) for a, b in pairwise(self._sent) if b.number > a.number]
+        if not ticks:
+            return 0.0
+        step = median((b.stamp - a.stamp) / (b.number - a.number) for a, b in ticks)
+        period = median((b.time - a.time) / (b.number - a.number) for a, b in ticks) * NANOSECOND
         return delay // period * step * NANOSECOND if period > 0 else 0.0

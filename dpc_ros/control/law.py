@@ -82,7 +82,7 @@ class ControlLaw(ABC):
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
         self.system = system
         self.settings = settings
-        self.saturated = False  # whether the last force was shortened
+        self.excess = np.zeros(2)  # what the last force was shortened by [N]
         self._last_stamp: int | None = None
 
     @abstractmethod
@@ -131,10 +131,15 @@ class ControlLaw(ABC):
             elapsed = 0.0
         wanted = self.unbounded_force(latent, latent_velocity)
         force = shorten(wanted, self.settings.largest_force)
-        self.saturated = force is not wanted
+        self.excess = wanted - force
         self._last_stamp = stamp
         self.advance(latent, elapsed)
         return force
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the bound has shortened the last force."""
+        return bool(self.excess.any())
 
     def restart(self) -> None:
         """Begin anew: forget what the law keeps between steps, but not its target."""

@@ -33,8 +33,8 @@ class QuadraticRegulator(ControlLaw):
     M_η δξ̈ + Δ ξ̇ + Jᵀ∇²V(q*)J δξ = Γ δu (Anderson and Moore, Optimal Control, section 3.3).
     c damps the actuated mass, collocated with the force. v integrates the error along the two
     directions S = ∂ξ_eq/∂u that a constant force can move the equilibrium in:
-    v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(D(ξ*) − D(ξ)) with S̃ = JS. It waits after a new target,
-    and stands still while the force is saturated.
+    v̇ = k(S̃ᵀS̃)⁻¹S̃ᵀ(D(ξ*) − D(ξ)) with S̃ = JS. It waits after a new target, and
+    while the force is saturated it does not push beyond the bound any further.
     """
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
@@ -47,7 +47,7 @@ class QuadraticRegulator(ControlLaw):
         self._slope = np.zeros((m, 2))
         self._integrator: np.ndarray = np.zeros((2, system.autoencoder.configuration_size))
         self._goal = np.zeros(system.autoencoder.configuration_size)
-        self._integral = np.zeros(2)
+        self._constant = np.zeros(2)  # u* + v
         self._since_target = 0.0
 
     @property
@@ -59,9 +59,15 @@ class QuadraticRegulator(ControlLaw):
         configuration = self._target_configuration(target)
         settings, system = self.settings, self.system
         autoencoder, mechanics = system.autoencoder, system.mechanics
-        reduced = feed_forward(system, configuration, settings.largest_force)
+        reduced: FeedForward | EquilibriumError
+        try:
+            reduced = feed_forward(system, configuration, settings.largest_force)
+        except EquilibriumError as error:
+            reduced = error
         found = self._equilibrium(configuration, reduced)
         if found is None:  # the body itself has none near: the compressed one stands in
+            if isinstance(reduced, EquilibriumError):
+                raise reduced
             force, latent = reduced.force, reduced.latent
             stiffness = system.potential_hessian(latent, force)
         else:
@@ -77,54 +83,51 @@ class QuadraticRegulator(ControlLaw):
         except np.linalg.LinAlgError as error:
             raise EquilibriumError(f'no regulator about the equilibrium: {error}') from error
         m = system.latent_size
-        self._target, self._feed_forward = latent, force
+        self._target, self._feed_forward, self._constant = latent, force, force
         self._goal = autoencoder.decode(latent)
         self._latent_gain = gain[:, :m]
         self._velocity_gain = gain[:, m:] + settings.collocated_damping * field.T
         self._slope, self._integrator = slope, integrator
-        self._integral = np.zeros(2)
         self._since_target = 0.0
 
     def unbounded_force(
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
     ) -> Float[np.ndarray, ' 2']:
-        error = self._target + self._slope @ self._integral - latent
-        return (
-            self._feed_forward
-            + self._integral
-            + self._latent_gain @ error
-            - self._velocity_gain @ latent_velocity
-        )
+        integral = self._constant - self._feed_forward
+        error = self._target + self._slope @ integral - latent
+        return self._constant + self._latent_gain @ error - self._velocity_gain @ latent_velocity
 
     def advance(self, latent: Float[np.ndarray, ' m'], elapsed: float) -> None:
         self._since_target += elapsed
-        gain = self.settings.integral_gain
-        waits = self._since_target < self.settings.integral_delay
-        if not gain or waits or self.saturated:
+        gain, largest = self.settings.integral_gain, self.settings.largest_force
+        if not gain or self._since_target < self.settings.integral_delay:
             return
         error = self._goal - self.system.autoencoder.decode(latent)
         change = gain * elapsed * (self._integrator @ error)
-        self._integral = shorten(self._integral + change, self.settings.largest_force)
+        if not change @ self.excess > 0:
+            self._constant = shorten(self._constant + change, largest)
 
     def restart(self) -> None:
         super().restart()
-        self._integral = np.zeros(2)
+        self._constant = self._feed_forward
         self._since_target = 0.0
 
     def _equilibrium(
-        self, target: Float[np.ndarray, ' n'], reduced: FeedForward
+        self, target: Float[np.ndarray, ' n'], reduced: FeedForward | EquilibriumError
     ) -> StaticBound | None:
         """Return the body's equilibrium nearest to the target of several searches, if there is any.
 
-        One begins at the reduced equilibrium, the others are those of `static_bound`: from rest,
-        from the target, and from random forces where more than two are asked for.
+        One begins at the reduced equilibrium, where there is one, the others are those of
+        `static_bound`: from rest, from the target, and from random forces where more than two are
+        asked for.
         """
         system, largest = self.system, self.settings.largest_force
         body = ConstantForce(system.mechanics, system.actuated_mass)
-        start = system.autoencoder.decode(reduced.latent)
         found = []
         with suppress(EquilibriumError):
-            found.append(nearest_equilibrium(body, target, reduced.force, start, largest))
+            if isinstance(reduced, FeedForward):
+                start = system.autoencoder.decode(reduced.latent)
+                found.append(nearest_equilibrium(body, target, reduced.force, start, largest))
         with suppress(EquilibriumError):
             starts = self.settings.equilibrium_starts
             found.append(

@@ -73,7 +73,12 @@ class EncoderNode(LoopNode):
         if self._delay is not None:
             if self._answers.starts_epoch(stamp):
                 self._delay.restart()
-            self._delay.configuration(stamp, info['source_timestamp'], info['received_timestamp'])
+            self._delay.configuration(
+                stamp,
+                info['publication_sequence_number'],
+                info['source_timestamp'],
+                info['received_timestamp'],
+            )
         repeated = self._answers.repeated(stamp, message)
         if repeated is None and self._answers.begins_anew(stamp):
             self._begin_anew()

@@ -12,7 +12,7 @@ import numpy as np
 
 from dpc_ros.control import Imperfections, LawSettings
 from dpc_ros.paper.control_rows import Rows, columns, summary
-from dpc_ros.paper.regulation import LIMIT, Each, bound, load_tasks, regulate
+from dpc_ros.paper.regulation import LIMIT, STEP, Each, bound, load_tasks, regulate
 
 DURATION = 5.0  # s, of a run
 _RUNS = 10  # of the proportional-derivative laws
@@ -28,8 +28,8 @@ REGULATOR = 'lqr'
 def tune(each: Each, laws: Sequence[tuple[str, str]]) -> Rows:
     """Return the errors of each set of gains, for the laws and autoencoders that are tuned.
 
-    The proportional-derivative laws take a grid of α and β each; the regulator one of its weights
-    and its damping, with one autoencoder.
+    The proportional-derivative laws take a grid of α and β each; for the regulator see
+    `tune_regulator`.
     """
     rows: Rows = []
     tasks = load_tasks('tuning_targets')
@@ -67,8 +67,8 @@ def tune_regulator(each: Each, checkpoint: str) -> Rows:
         quick = summary(each(f'tuning {REGULATOR}', run, reachable), [1.0] * len(reachable))
         row = {**columns(REGULATOR, checkpoint, settings), 'runs': len(tasks) + len(reachable)}
         row |= {
-            'hold_s': 0.02,
-            'latency_s': 0.02,
+            'hold_s': _HARDEST.hold * STEP,
+            'latency_s': _HARDEST.latency * STEP,
             'sigma_m': _HARDEST.noise,
             'final_over_bound_median': summary(hard, bounds)['final_over_bound_median'],
             'failed': sum(outcome.failed for outcome in hard) + quick['failed'],
@@ -85,7 +85,8 @@ def best_gains(tuning: Rows) -> dict[tuple[str, str], LawSettings]:
         key = (row['law'], row['checkpoint'].partition('@')[0])
         if row['law'] == REGULATOR:
             continue
-        if key not in best or _final(row) < _final(best[key]):
+        error = _value(row, 'final_nmse_median')
+        if key not in best or error < _value(best[key], 'final_nmse_median'):
             best[key] = row
     return {
         key: replace(
@@ -103,14 +104,14 @@ def best_regulator(tuning: Rows) -> LawSettings:
     The quickest has the least median nMSE at 3 s over the reachable targets.
     """
     rows = [row for row in tuning if row['law'] == REGULATOR]
-    rows = [row for row in rows if row['final_over_bound_median'] <= _BEARABLE] or rows
+    rows = [row for row in rows if _value(row, 'final_over_bound_median') <= _BEARABLE] or rows
     least = min(row['failed'] for row in rows)
-    row = min((r for r in rows if r['failed'] == least), key=lambda r: r['nmse_3s_median'])
+    row = min((r for r in rows if r['failed'] == least), key=lambda r: _value(r, 'nmse_3s_median'))
     names = ('force_weight', 'velocity_weight', 'collocated_damping')
     return replace(LIMIT, **{name: row[name] for name in names})
 
 
-def _final(row: dict[str, Any]) -> float:
-    """Return the final error; what is infinite stands as null in a file."""
-    value = row['final_nmse_median']
+def _value(row: dict[str, Any], column: str) -> float:
+    """Return a number of a row; what is infinite stands as null in a file."""
+    value = row[column]
     return np.inf if value is None else value

@@ -372,7 +372,7 @@ def _condition(row: dict[str, Any]) -> str:
         f'σ = {row["sigma_m"]:g} m',
     ]
     if row.get('sigma_velocity_m_s'):
-        parts.append(f'{row["sigma_velocity_m_s"]:g} m/s')
+        parts.append(f'{row["sigma_velocity_m_s"]:g} m/s of velocities')
     return ', '.join(parts) + (', filtered' if row['observer'] == 'kalman' else '')
 
 

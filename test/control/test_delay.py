@@ -11,13 +11,13 @@ MILLISECOND = 1_000_000  # ns
 STEP = 5 * MILLISECOND  # of the stamps
 
 
-def measured(out, processing, back, period=STEP, offset=0, messages=60, late=()):
+def measured(out, processing, back, period=STEP, offset=0, messages=60, late=(), every=1):
     """Return what a meter saw of a loop; the force's way back is not what it sees."""
     meter = DelayMeter()
-    for k in range(messages):
+    for k in range(0, every * messages, every):
         sent = 10**18 + k * period
         received = sent + out + offset + (10 * period if k in late else 0)
-        meter.configuration(k * STEP, sent, received)
+        meter.configuration(k * STEP, k, sent, received)
         meter.force(k * STEP, received + processing)
     return meter, (out + processing + back) * 1e-9
 
@@ -52,12 +52,21 @@ def test_nothing_is_said_before_enough_was_seen():
 
 def test_a_state_that_is_sent_again_counts_from_then():
     meter, drawn = DelayMeter(), np.random.default_rng(0).integers(1, 100, 40)
+    number = 0
     for k, wait in enumerate(drawn):
         sent = 10**18 + k * STEP
         for again in (0, int(wait) * STEP):
-            meter.configuration(k * STEP, sent + again, sent + again)
+            number += 1
+            meter.configuration(k * STEP, number, sent + again, sent + again)
         meter.force(k * STEP, sent + again + MILLISECOND)
     assert meter.delay == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize('every', [1, 2, 3])
+def test_states_that_are_left_out_do_not_make_steps_longer(every):
+    meter, delay = measured(5 * MILLISECOND, 2 * MILLISECOND, 5 * MILLISECOND, every=every)
+    assert meter.delay == pytest.approx(delay)
+    assert meter.acting_delay == pytest.approx(10e-3)
 
 
 @pytest.mark.parametrize('offset', [-60 * 10**9, 60 * 10**9])

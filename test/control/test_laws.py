@@ -240,7 +240,9 @@ def test_gain_is_the_one_of_the_riccati_equation(regulator):
     # The gain of the stationary solution: its costate P is the quadratic cost of the closed loop,
     # and no other gain nearby costs less.
     weight = 1e-9 * np.eye(6)
-    weight[:3, :3] += jacobian.T @ jacobian / len(jacobian)
+    spread = jacobian.T @ jacobian / len(jacobian)
+    weight[:3, :3] += spread
+    weight[3:, 3:] += settings.velocity_weight * spread
 
     def cost(k):
         closed = a - b @ k
@@ -298,14 +300,29 @@ def test_integral_rests_where_the_law_does(small_system, target):
         np.testing.assert_array_equal(force, law.feed_forward)
 
 
-def test_integral_stands_still_while_the_force_is_saturated(small_system, target):
+def test_integral_does_not_wind_up_while_the_force_is_saturated(small_system, target):
     settings = LawSettings(integral_gain=2.0, integral_delay=0.0, largest_force=0.01)
     law = QuadraticRegulator(small_system(3), settings)
     law.regulate(target)
     for k in range(20):
         law.force(law._target + 5.0, np.zeros(3), k * 10_000_000)
         assert law.saturated
-    np.testing.assert_array_equal(law._integral, 0)
+    np.testing.assert_array_equal(law._constant, law.feed_forward)
+
+
+def test_integral_unwinds_while_the_force_is_saturated(small_system, target):
+    settings = LawSettings(integral_gain=2.0, integral_delay=0.0, largest_force=0.01)
+    law = QuadraticRegulator(small_system(3), settings)
+    law.regulate(target)
+    away = law._slope @ np.array([0.0, 0.3])
+    for side in (1, -1):  # wound up on one side, the error asks for the other
+        law.restart()
+        law._constant = law._constant + side * np.array([0.0, 0.5])
+        before = law._constant
+        law.force(law._target + side * away, np.zeros(3), 0)
+        law.force(law._target + side * away, np.zeros(3), 10_000_000)
+        assert law.saturated
+        assert np.linalg.norm(law._constant) < np.linalg.norm(before)
 
 
 def lyapunov(system, goal, latent, velocity):
