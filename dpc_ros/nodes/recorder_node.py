@@ -93,6 +93,7 @@ class RecorderNode(LoopNode):
         )
         parameters_file = settings['parameters_file']
         parameters = Path(parameters_file).read_text() if parameters_file else ''
+        sections = read_sections(parameters, parameters_file) if parameters else {}
         self._writer = BagWriter(
             settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
             ros_distro=ros_distribution(),
@@ -105,7 +106,7 @@ class RecorderNode(LoopNode):
         self._writer.add_metadata(COMMAND_RECORD, commands())
         if parameters:
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
-            for section in read_sections(parameters, parameters_file).values():
+            for section in sections.values():
                 self._attach(section)
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)

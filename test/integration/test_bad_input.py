@@ -7,9 +7,9 @@ import pytest
 from dpc_ros.resources import config_path
 
 
-def run_node(domain, kind, *parameters):
+def run_node(domain, kind, *parameters, cwd=None):
     arguments = [part for item in parameters for part in ('-p', item)]
-    return domain.run(f'{kind}_node', '--ros-args', *arguments)
+    return domain.run(f'{kind}_node', '--ros-args', *arguments, cwd=cwd)
 
 
 def assert_one_clear_error(output, *words):
@@ -71,17 +71,18 @@ def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
         ('controller', ['actuated_mass:=3'], ('mass 3', 'fixed')),
         ('controller', ['target:=simulation:9@1'], ('simulation:9@1', '[1, 2, 3, 4, 5, 6, 7]')),
         ('controller', ['target:=simulation:1@5000'], ('5000', '0 to 1000')),
-        ('recorder', ['bag:=.'], ('expected a new or an empty folder',)),
+        ('recorder', [f'bag:={config_path()}'], ('expected a new or an empty folder',)),
         ('recorder', ["topics:=['the body']"], ('topics', 'names of topics', "'the body'")),
         ('recorder', ["exclude:=['/a//b']"], ('exclude', 'patterns', "'/a//b'")),
         ('recorder', [f'parameters_file:={__file__}'], (__file__, 'ROS 2 parameter file')),
         ('recorder', ['parameters_file:=/nowhere.yaml'], ('/nowhere.yaml',)),
     ],
 )
-def test_what_can_not_be_configured(domain, kind, parameters, words):
-    code, output = run_node(domain, kind, *parameters)
+def test_what_can_not_be_configured(domain, tmp_path, kind, parameters, words):
+    code, output = run_node(domain, kind, *parameters, cwd=tmp_path)
     assert code == 1
     assert_one_clear_error(output, *words)
+    assert not any(path.suffix == '.mcap' for path in tmp_path.rglob('*'))
 
 
 @pytest.mark.parametrize(
