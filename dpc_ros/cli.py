@@ -283,9 +283,16 @@ def paper(options: argparse.Namespace) -> None:
     """Run one of the paper's experiments: results as JSON, figures, or the tables of the docs."""
     from dpc_ros.paper.commands import run
     from dpc_ros.paper.models import Workshop
+    from dpc_ros.parameters import read_options
 
     docs = Path(options.docs)
-    workshop = Workshop(Path(options.data), Path(options.training), docs / 'results')
+    workshop = Workshop(
+        Path(options.data),
+        Path(options.training),
+        docs / 'results',
+        law=options.law or '',
+        law_options=read_options(options.law_options, '--law-options'),
+    )
     run(options.experiment, workshop, docs)
 
 
@@ -403,6 +410,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         '--docs', default='docs', help='where results and figures go, default docs'
     )
+    command.add_argument('--law', help='of `control`: only this law, yours for example')
+    command.add_argument('--law-options', default='', help='what a law of yours takes, as YAML')
 
     group = commands.add_parser('bag', help=bag_commands.__doc__, description=bag_commands.__doc__)
     bag_commands.add_to(group)

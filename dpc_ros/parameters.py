@@ -141,6 +141,26 @@ def read_sections(text: str, origin: str) -> dict[str, dict[str, Any]]:
         ) from error
 
 
+def read_options(text: str, origin: str) -> dict[str, Any]:
+    """Return names and values that a text says as YAML; an empty one says none.
+
+    Args:
+        text: what to read.
+        origin: what to call it in an error.
+
+    Raises:
+        ParameterError: it is no YAML, or another kind of it.
+    """
+    try:
+        options = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ParameterError(f'{origin}: expected YAML, got {text!r}') from error
+    options = {} if options is None else options
+    if not isinstance(options, dict):
+        raise ParameterError(f'{origin}: expected names and values as YAML, got {text!r}')
+    return options
+
+
 def node_parameters(kind: str, *given: Mapping[str, Any]) -> dict[str, Any]:
     """Return every parameter of a kind of node.
 

@@ -10,7 +10,6 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-import yaml
 from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint, with_encoder
@@ -20,7 +19,7 @@ from dpc_ros.control.registry import make_law
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.targets import Target
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
-from dpc_ros.parameters import ParameterError
+from dpc_ros.parameters import ParameterError, read_options
 from dpc_ros.reduction import CompressedSystem
 
 
@@ -152,14 +151,7 @@ def law_settings(parameters: Mapping[str, Any]) -> LawSettings:
         ParameterError: the options are no YAML of names and values.
         ValueError: a number is out of its range.
     """
-    text = parameters['law_options']
-    try:
-        options = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ParameterError(f'law_options: expected YAML, got {text!r}') from error
-    options = {} if options is None else options
-    if not isinstance(options, dict):
-        raise ParameterError(f'law_options: expected names and values as YAML, got {text!r}')
+    options = read_options(parameters['law_options'], 'law_options')
     numbers = {each.name for each in fields(LawSettings)} - {'options'}
     return LawSettings(**{name: parameters[name] for name in numbers}, options=options)
 

@@ -141,14 +141,7 @@ def make_plan(
     }
     parameters = {node: node_parameters(node, given[node]) for node in nodes}
     observes = parameters['encoder']['observer'] != 'none'
-    if (
-        parameters['encoder']['measure_delay']
-        and parameters['simulator']['time_mode'] != 'realtime'
-    ):
-        raise ParameterError(
-            'encoder: measure_delay: expected a simulator with time_mode realtime; in lockstep a '
-            'force acts at once'
-        )
+    _check_observer(parameters['encoder'], parameters['simulator'])
     for node, output in _OUTPUTS.items():
         if 'expected_subscribers' not in given[node]:
             readers = [*declarations(node)['expected_subscribers'].default]
@@ -160,6 +153,27 @@ def make_plan(
                 readers.append('encoder')
             parameters[node]['expected_subscribers'] = readers
     return LaunchPlan(parameters, folder, namespace)
+
+
+def _check_observer(encoder: Mapping[str, Any], simulator: Mapping[str, Any]) -> None:
+    """Make sure that an encoder with an observer models the body that the simulator moves.
+
+    Raises:
+        ParameterError: it does not, or it is to measure a delay where there is none.
+    """
+    if encoder['measure_delay'] and simulator['time_mode'] != 'realtime':
+        raise ParameterError(
+            'encoder: measure_delay: expected a simulator with time_mode realtime; in lockstep a '
+            'force acts at once'
+        )
+    if encoder['observer'] == 'none':
+        return
+    for name in ('actuated_mass', 'gravity_magnitude', 'gravity_angle'):
+        if encoder[name] != simulator[name]:
+            raise ParameterError(
+                f'encoder: {name}: expected that of the simulator, {simulator[name]}, got '
+                f'{encoder[name]}: an observer has to know the body'
+            )
 
 
 def _selects(recorder: Mapping[str, Any], namespace: str, topic: str) -> bool:

@@ -39,6 +39,8 @@ def run(experiment: str, workshop: Workshop, docs: Path) -> None:
         return
     if experiment not in EXPERIMENTS:
         raise ValueError(f'no experiment {experiment!r}: expected one of {NAMES}')
+    if workshop.law and experiment != 'control':
+        raise ValueError(f'--law: expected the experiment control, got {experiment!r}')
     # One thread a training: sums in another order would be another training.
     torch.set_num_threads(1)
     name = experiment.replace('-', '_')

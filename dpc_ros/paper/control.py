@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpc_ros.control import Imperfections, LawSettings, ObserverSettings
+from dpc_ros.control import LAWS, Imperfections, LawSettings, ObserverSettings
 from dpc_ros.figure import new_figure, save_figure, tidy
 from dpc_ros.network import Gravity, load_network
 from dpc_ros.paper.control_rows import Rows, columns, each_run, quartiles, summary
@@ -23,12 +23,14 @@ from dpc_ros.paper.control_tuning import (
 )
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.regulation import (
+    LIMIT,
     SEED,
     STEP,
     SYSTEM,
     Each,
     Task,
     bound,
+    check_made,
     each_task,
     load_tasks,
     regulate,
@@ -67,11 +69,15 @@ def measure(workshop: Workshop) -> dict[str, Rows]:
 
     `control` has one row for every experiment, law, autoencoder and condition; `control_runs` one
     for every run of the paper's experiment; `control_time` the median and quartiles of nMSE over
-    the 50 runs, for every law. Gains are those that `tune_gains` has found.
+    the 50 runs, for every law. Gains are those that `tune_gains` has found. Where the workshop
+    names one law, its rows of the paper's experiment join what the files hold.
 
     Raises:
         FileNotFoundError: it has not run yet.
+        ValueError: there is no such law, or it can't be made.
     """
+    if workshop.law:
+        return measure_law(workshop, load_tasks('paper_targets'))
     tuning = read_results(workshop.results / 'control_tuning.json')
     best, gains = best_regulator(tuning), best_gains(tuning)
     variants = [(*law, gains.get(law, best)) for law in _LAWS]
@@ -79,14 +85,14 @@ def measure(workshop: Workshop) -> dict[str, Rows]:
     with each_task(workshop.progress) as each:
         tasks = load_tasks('paper_targets')
         bounds = each('static bounds', bound, tasks)
-        control, runs, time = [], [], []
-        for law, checkpoint, settings in variants:
-            function = partial(regulate, law, checkpoint, settings, DURATION)
-            found = each(f'{law}, {checkpoint}', function, tasks)
-            what = {'experiment': 'paper_targets', **columns(law, checkpoint, settings)}
-            control.append({**what, **summary(found, bounds)})
-            runs += [{**what, **row} for row in each_run(tasks, found, bounds)]
-            time += [{**what, **row} for row in quartiles(found, bounds)]
+        control: Rows = []
+        runs: Rows = []
+        time: Rows = []
+        for variant in variants:
+            for rows, more in zip(
+                (control, runs, time), _paper_targets(each, *variant, tasks, bounds), strict=True
+            ):
+                rows += more
         control += _with_gravity(each, best, tasks)
         control += _reachable(each, best)
         control += _imperfect(each, best, tasks, bounds)
@@ -96,6 +102,59 @@ def measure(workshop: Workshop) -> dict[str, Rows]:
         'control_runs': runs,
         'control_time': time,
     }
+
+
+def measure_law(workshop: Workshop, tasks: Sequence[Task]) -> dict[str, Rows]:
+    """Return the rows of three files with those of the workshop's law, on our best autoencoder.
+
+    Static bounds are those that the files hold, where they do.
+
+    Raises:
+        ValueError: there is no such law, it is one of this package, or it can't be made.
+    """
+    if workshop.law in LAWS:
+        raise ValueError(
+            f'law {workshop.law!r}: expected one of another package; those of this one are all run '
+            'where none is named'
+        )
+    checkpoint = _BEST[1]
+    settings = replace(LIMIT, options=dict(workshop.law_options))
+    check_made(workshop.law, checkpoint, tasks[0], settings)
+    files: dict[str, Rows] = {}
+    for name in ('control', 'control_runs', 'control_time'):
+        path = workshop.results / f'{name}.json'
+        rows = read_results(path) if path.is_file() else []
+        files[name] = [row for row in rows if row['law'] != workshop.law]
+    known = {row['run']: row['static_bound'] for row in files['control_runs']}
+    with each_task(workshop.progress) as each:
+        missing = [task for task in tasks if task.run not in known]
+        found = each('static bounds', bound, missing)
+        known |= {task.run: value for task, value in zip(missing, found, strict=True)}
+        bounds = [known[task.run] for task in tasks]
+        added = _paper_targets(each, workshop.law, checkpoint, settings, tasks, bounds)
+    for name, more in zip(files, added, strict=True):
+        files[name] += more
+    return files
+
+
+def _paper_targets(
+    each: Each,
+    law: str,
+    checkpoint: str,
+    settings: LawSettings,
+    tasks: Sequence[Task],
+    bounds: Sequence[float],
+) -> tuple[Rows, Rows, Rows]:
+    """Return the rows of one law: of all runs, of each run, of the error over time."""
+    found = each(
+        f'{law}, {checkpoint}', partial(regulate, law, checkpoint, settings, DURATION), tasks
+    )
+    what = {'experiment': 'paper_targets', **columns(law, checkpoint, settings)}
+    return (
+        [{**what, **summary(found, bounds)}],
+        [{**what, **row} for row in each_run(tasks, found, bounds)],
+        [{**what, **row} for row in quartiles(found, bounds)],
+    )
 
 
 def draw(workshop: Workshop, rows: dict[str, Rows], docs: Path) -> list[Path]:
@@ -120,11 +179,12 @@ def draw_time(rows: Rows, path: Path) -> None:
     for panel, checkpoint in zip(panels, checkpoints, strict=True):
         mine = [row for row in rows if row['checkpoint'].startswith(f'{checkpoint}@')]
         for law in dict.fromkeys(row['law'] for row in mine):
+            colour = colours.get(law, '#56b4e9')
             curve = [row for row in mine if row['law'] == law]
             time = [row['time_s'] for row in curve]
             low, median, high = ([row[f'nmse_{q}'] for row in curve] for q in (25, 50, 75))
-            panel.fill_between(time, low, high, color=colours[law], alpha=0.18, lw=0)
-            panel.semilogy(time, median, color=colours[law], lw=1.5, label=law)
+            panel.fill_between(time, low, high, color=colour, alpha=0.18, lw=0)
+            panel.semilogy(time, median, color=colour, lw=1.5, label=law)
         bound = mine[0]['static_bound_median']
         panel.axhline(bound, color='#222222', ls='--', lw=1, label='static bound, median')
         panel.set(title=checkpoint.removeprefix('paper_2_'), xlabel='time [s]', ylim=(1e-3, 30))

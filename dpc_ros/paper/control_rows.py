@@ -32,7 +32,8 @@ def columns(law: str, checkpoint: str, settings: LawSettings) -> dict[str, Any]:
         'hold_s': STEP,
         'latency_s': 0.0,
         'sigma_m': 0.0,
-        **{name: getattr(settings, name) for name in _GAINS[law]},
+        **{name: getattr(settings, name) for name in _GAINS.get(law, ())},
+        **({'options': str(settings.options)} if settings.options else {}),
     }
 
 

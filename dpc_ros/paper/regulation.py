@@ -21,7 +21,6 @@ from dpc_ros.autoencoder import Autoencoder, load_checkpoint
 from dpc_ros.control import (
     ClosedLoopRun,
     ConstantForce,
-    EquilibriumError,
     Imperfections,
     LatentObserver,
     LawSettings,
@@ -157,7 +156,7 @@ def regulate(
     steps = round(duration / step)
     try:
         law.regulate(Target(configuration=task.target))
-    except EquilibriumError as error:
+    except Exception as error:  # EquilibriumError, or what a law that is not ours raises
         return Outcome(np.full(steps + 1, np.inf), reason=str(error), step=step)
     if imperfections is not None:
         imperfections = replace(imperfections, seed=SEED + task.run)
@@ -185,6 +184,16 @@ def regulate(
     if not outcome.failed:
         return outcome
     return replace(outcome, reason=_why(law.system, task, run, outcome))
+
+
+def check_made(law_name: str, checkpoint: str, task: Task, settings: LawSettings) -> None:
+    """Make sure that a law can be made.
+
+    Raises:
+        ValueError: there is no such law, or it can't be.
+    """
+    network, autoencoder = _models(checkpoint)
+    make_law(law_name, CompressedSystem(Mechanics(network), autoencoder, task.mass), settings)
 
 
 def _why(system: CompressedSystem, task: Task, run: ClosedLoopRun, outcome: Outcome) -> str:

@@ -116,6 +116,10 @@ def test_bad_target_files(domain, tmp_path, content, words):
         (['--namespace', 'bad name'], ('namespace', '/bad name')),
         (['--config', 'nowhere.yaml'], ('nowhere.yaml',)),
         (['--set', 'encoder.measure_delay=true'], ('measure_delay', 'realtime', 'lockstep')),
+        (
+            ['--set', 'encoder.observer=kalman', '--set', 'encoder.actuated_mass=122'],
+            ('actuated_mass', '162, got 122', 'observer'),
+        ),
         (['--config', __file__], ('expected a ROS 2 parameter file',)),
     ],
 )

@@ -1,5 +1,6 @@
 """The control experiment runs what its files say and counts what came of it."""
 
+import shutil
 from dataclasses import replace
 from functools import partial
 
@@ -9,9 +10,11 @@ import pytest
 from dpc_ros.control import Imperfections, load_target
 from dpc_ros.network import load_network
 from dpc_ros.paper import control, control_rows, control_tuning, regulation
+from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.regulation import LIMIT
+from dpc_ros.paper.tables import with_tables
 from dpc_ros.resources import share_directory
-from dpc_ros.results import read_results
+from dpc_ros.results import read_results, write_results
 
 RESULTS = share_directory() / 'docs' / 'results'
 
@@ -187,6 +190,32 @@ def test_results_hold_every_run_and_the_figure_follows(tmp_path):
         assert sum(run['failed'] for run in runs) == law['failed']
     control.draw_time(rows['control_time'], tmp_path / 'control.png')
     assert (tmp_path / 'control.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_a_law_of_another_package_joins_the_tables(spring, tmp_path):
+    results = tmp_path / 'results'
+    results.mkdir()
+    for name in ('control', 'control_runs', 'control_time'):
+        shutil.copy(RESULTS / f'{name}.json', results)
+    options = {'stiffness': 5.0}
+    workshop = Workshop(tmp_path, tmp_path, results, False, law=spring, law_options=options)
+    tasks = regulation.load_tasks('paper_targets', 2)
+    files = control.measure_law(workshop, tasks)
+    for name, rows in files.items():
+        write_results(results / f'{name}.json', rows)
+    page = '<!-- table laws from control -->\n<!-- end -->'
+    *_, last = (line for line in with_tables(page, results).splitlines() if '|' in line)
+    assert last.startswith(f'| {spring} | extended, m5 |')
+    mine = [row for row in files['control_runs'] if row['law'] == spring]
+    recorded = {row['run']: row['static_bound'] for row in files['control_runs']}
+    assert [row['static_bound'] for row in mine] == [recorded[task.run] for task in tasks]
+    control.draw_time(files['control_time'], tmp_path / 'control.png')
+    again = control.measure_law(workshop, tasks)  # its rows take the place of those before
+    assert {name: len(rows) for name, rows in again.items()} == {
+        name: len(rows) for name, rows in files.items()
+    }
+    with pytest.raises(ValueError, match='expected one of another package'):
+        control.measure_law(replace(workshop, law='lqr'), tasks)
 
 
 def test_workers_end_with_the_experiment():
