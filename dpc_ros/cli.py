@@ -283,7 +283,6 @@ def paper(options: argparse.Namespace) -> None:
     """Run one of the paper's experiments: results as JSON, figures, or the tables of the docs."""
     from dpc_ros.paper.commands import run
     from dpc_ros.paper.models import Workshop
-    from dpc_ros.parameters import read_options
 
     docs = Path(options.docs)
     workshop = Workshop(
@@ -291,7 +290,7 @@ def paper(options: argparse.Namespace) -> None:
         Path(options.training),
         docs / 'results',
         law=options.law or '',
-        law_options=read_options(options.law_options, '--law-options'),
+        law_options=options.law_options,
     )
     run(options.experiment, workshop, docs)
 

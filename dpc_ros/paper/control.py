@@ -35,6 +35,7 @@ from dpc_ros.paper.regulation import (
     load_tasks,
     regulate,
 )
+from dpc_ros.parameters import read_options
 from dpc_ros.results import read_results
 
 __all__ = ['SEED', 'draw', 'measure']
@@ -118,7 +119,7 @@ def measure_law(workshop: Workshop, tasks: Sequence[Task]) -> dict[str, Rows]:
             'where none is named'
         )
     checkpoint = _BEST[1]
-    settings = replace(LIMIT, options=dict(workshop.law_options))
+    settings = replace(LIMIT, options=read_options(workshop.law_options, '--law-options'))
     check_made(workshop.law, checkpoint, tasks[0], settings)
     files: dict[str, Rows] = {}
     for name in ('control', 'control_runs', 'control_time'):

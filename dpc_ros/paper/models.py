@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,7 @@ class Workshop:
         results: folder of the files of measured numbers, that some experiments go on from.
         progress: show progress bars.
         law: of another package, that the control experiment is to add; empty runs all of this one.
-        law_options: what a law of another package takes.
+        law_options: what it takes, as YAML.
     """
 
     data: Path
@@ -56,7 +56,7 @@ class Workshop:
     results: Path
     progress: bool = True
     law: str = ''
-    law_options: Mapping[str, Any] = field(default_factory=dict)
+    law_options: str = ''
 
     def trained(self, model: Model, system: str, latent_size: int) -> Trained:
         """Return the best of a model's trainings by validation error; all are run if need be."""

@@ -197,8 +197,9 @@ def test_a_law_of_another_package_joins_the_tables(spring, tmp_path):
     results.mkdir()
     for name in ('control', 'control_runs', 'control_time'):
         shutil.copy(RESULTS / f'{name}.json', results)
-    options = {'stiffness': 5.0}
-    workshop = Workshop(tmp_path, tmp_path, results, False, law=spring, law_options=options)
+    workshop = Workshop(
+        tmp_path, tmp_path, results, False, law=spring, law_options='{stiffness: 5.0}'
+    )
     tasks = regulation.load_tasks('paper_targets', 2)
     files = control.measure_law(workshop, tasks)
     for name, rows in files.items():
