@@ -47,6 +47,8 @@ from dpc_ros.nodes.topics import LOOP_QOS, TOPICS
 from dpc_ros.parameters import read_sections
 
 _QUIET = 0.2  # s without a message after which nothing more is on its way
+_ON_ITS_WAY = 2.0  # s after the stop in which may come what was published before it
+_LONGEST_DRAIN = 30.0  # s in which what waits for the recorder at the stop is taken
 _MODEL_TOPICS = ('configuration', 'latent_state')  # their frame_id is `<name>@<digest>`
 
 
@@ -82,6 +84,7 @@ class RecorderNode(LoopNode):
         self._questions: NodeParameters | None = None
         self._last_message = time.monotonic()
         self._end_ns: int | None = None  # what is published later is not recorded
+        self._ended_at = 0.0
 
     def configure(self) -> None:
         settings = self.settings
@@ -142,8 +145,10 @@ class RecorderNode(LoopNode):
     def is_drained(self) -> bool:
         if self._end_ns is None:
             self._end_ns = time.time_ns()
-            self._last_message = time.monotonic()
-        return time.monotonic() - self._last_message > _QUIET
+            self._ended_at = self._last_message = time.monotonic()
+        now = time.monotonic()
+        # The steady clock has the last word: a wall clock that is set may not hold up the end.
+        return now - self._last_message > _QUIET or now - self._ended_at > _LONGEST_DRAIN
 
     def finish(self) -> None:
         if self._writer is not None:
@@ -210,7 +215,7 @@ class RecorderNode(LoopNode):
         return self.create_subscription(message_type, name, record, profile, raw=True)
 
     def _record(self, name: str, data: bytes, info: dict[str, int]) -> None:
-        if self._end_ns is not None and info['source_timestamp'] > self._end_ns:
+        if self._end_ns is not None and self._is_too_late(info, self._end_ns):
             return
         number = info['publication_sequence_number']
         gap = self._sequences[name].gap(number, partial(self.count_publishers, name))
@@ -232,6 +237,17 @@ class RecorderNode(LoopNode):
                 publish_time_ns=info['source_timestamp'],
                 sequence=number,
             )
+
+    def _is_too_late(self, info: dict[str, int], end_ns: int) -> bool:
+        """Return whether a message was published after the end.
+
+        What the middleware had received by then was not. Else the publisher's clock says so, but
+        it may be behind: it is believed only while something may still be on its way.
+        """
+        if info['received_timestamp'] <= end_ns:
+            return False
+        is_overdue = time.monotonic() - self._ended_at > _ON_ITS_WAY
+        return is_overdue or info['source_timestamp'] > end_ns
 
     def _introduce(self, writer: BagWriter, name: str, data: bytes) -> None:
         """Say in the log what a topic is, with its first message."""

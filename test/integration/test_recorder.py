@@ -3,6 +3,8 @@
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from array import array
 
 import numpy as np
@@ -38,6 +40,26 @@ from dpc_ros.resources import config_path
 LOOP = ('simulator', 'encoder', 'controller')
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CLOCK_AN_HOUR_BEHIND = r"""
+#define _GNU_SOURCE
+#include <time.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+int clock_gettime(clockid_t clock, struct timespec *time) {
+    int result = syscall(SYS_clock_gettime, clock, time);
+    if (clock == CLOCK_REALTIME) time->tv_sec -= 3600;
+    return result;
+}
+"""
+ENDLESS_PUBLISHER = """
+import time, rclpy
+from std_msgs.msg import String
+rclpy.init()
+publisher = rclpy.create_node('talker').create_publisher(String, '/lab/chat', 10)
+while True:
+    publisher.publish(String(data='on and on'))
+    time.sleep(0.01)
+"""
 
 
 class Recording:
@@ -317,6 +339,29 @@ def test_what_is_recorded_is_synced_within_the_interval(
         node.close()
         context.try_shutdown()
     assert len(synced) > count, 'the end is synced, too'
+
+
+def test_a_publisher_whose_clock_is_behind_does_not_hold_up_the_end(recording, domain, tmp_path):
+    compiler = shutil.which('cc')
+    if compiler is None:
+        pytest.skip('no C compiler to build another clock with')
+    clock = tmp_path / 'clock.so'
+    command = [compiler, '-shared', '-fPIC', '-x', 'c', '-', '-o', str(clock)]
+    subprocess.run(command, input=CLOCK_AN_HOUR_BEHIND, text=True, check=True)
+    domain.processes.append(
+        subprocess.Popen(
+            [sys.executable, '-c', ENDLESS_PUBLISHER],
+            env={**domain.environment, 'LD_PRELOAD': str(clock)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+    )
+    made = recording("topics:=['/lab/*']")
+    made.wait_for(10)
+    made.stop()
+    half_an_hour = 1800 * 10**9
+    for message in read_messages(made.file, ['/lab/chat']):
+        assert message.log_time_ns - message.publish_time_ns > half_an_hour
 
 
 def flood(made):
