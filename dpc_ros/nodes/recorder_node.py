@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,15 @@ class _Recorded:
     is_of_loop: bool
     publishers: int = 0
     is_in_bag: bool = False
+    heard: set[tuple[int, int]] = field(default_factory=set)  # before a publisher was known
+
+    def has_heard(self, info: dict[str, int]) -> bool:
+        """Return whether a message came before, to a subscription that asked for less."""
+        message = info['source_timestamp'], info['publication_sequence_number']
+        if not self.publishers and not self.is_of_loop:
+            self.heard.add(message)
+            return False
+        return message in self.heard
 
 
 class RecorderNode(LoopNode):
@@ -110,19 +119,24 @@ class RecorderNode(LoopNode):
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
             for section in read_sections(parameters, parameters_file).values():
                 self._attach(section)
+        self._questions = NodeParameters(self, self._keep_parameters)
+        self.get_logger().info(f'recording to {self._writer.folder}')
+
+    def activate(self) -> None:
+        if self._ticks:
+            return  # it listened while it was inactive
+        # Not before: what is latched comes once, and is for the log.
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)
             if self._selection.selects(name):
                 self._subscribe(name, entry.message_type, entry.qos, is_of_loop=True)
-        self._questions = NodeParameters(self, self._keep_parameters)
         # Half the interval: a tick may come late, a message may not wait longer than promised.
         for period, action in (
-            (settings['sync_interval'] / 2, self._sync),
-            (settings['discovery_interval'], self._look_around),
+            (self.settings['sync_interval'] / 2, self._sync),
+            (self.settings['discovery_interval'], self._look_around),
         ):
             self._ticks.append(self.create_timer(period, action, clock=self._steady_clock))
         self._look_around()
-        self.get_logger().info(f'recording to {self._writer.folder}')
 
     def clean_up(self) -> None:
         for timer in self._ticks:
@@ -189,14 +203,16 @@ class RecorderNode(LoopNode):
         count = self.count_publishers(name)
         if recorded.is_of_loop or count == recorded.publishers:
             return
-        recorded.publishers = count
+        is_first = not recorded.publishers
         publishers = self.get_publishers_info_by_topic(name)
-        if not publishers or recorded.is_in_bag:
+        recorded.publishers = count
+        if not publishers or (recorded.is_in_bag and not is_first):
             return
         fitting = fitting_profile(publishers, LOOP_QOS.depth)
         misses_latched = fitting.durability != recorded.profile.durability
         if misses_latched or not hears_any(recorded.profile, publishers):
             self.destroy_subscription(recorded.subscription)
+            self._sequences.pop(name, None)  # what was kept comes with its numbers again
             recorded.profile = fitting
             recorded.subscription = self._listen(name, recorded.message_type, fitting)
 
@@ -222,7 +238,7 @@ class RecorderNode(LoopNode):
         self.health.received += 1
         self.health.lost[name] += gap
         writer = self._writer
-        if not self.active or writer is None:
+        if not self.active or writer is None or self._recorded[name].has_heard(info):
             return
         self._last_message = time.monotonic()
         with self._writing(writer):
