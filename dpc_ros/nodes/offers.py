@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from dpc_ros.bag import QosProfile
+from dpc_ros.bag.topic import INFINITE_NS
 
 
 def fitting_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
@@ -54,6 +56,10 @@ def offered_profiles(publishers: Sequence[TopicEndpointInfo]) -> tuple[QosProfil
             depth=each.qos_profile.depth,
             reliability=each.qos_profile.reliability.short_key,
             durability=each.qos_profile.durability.short_key,
+            deadline_ns=_nanoseconds(each.qos_profile.deadline),
+            lifespan_ns=_nanoseconds(each.qos_profile.lifespan),
+            liveliness=each.qos_profile.liveliness.short_key,
+            liveliness_lease_duration_ns=_nanoseconds(each.qos_profile.liveliness_lease_duration),
         )
         for each in publishers
     )
@@ -63,3 +69,8 @@ def type_hash(publishers: Sequence[TopicEndpointInfo]) -> str:
     """Return the hash of the type of a topic, empty where it is not known."""
     text = str(publishers[0].topic_type_hash) if publishers else ''
     return text if text.startswith('RIHS01_') else ''  # rclpy says INVALID where it has none
+
+
+def _nanoseconds(duration: Duration) -> int:
+    """Return a duration as a bag has it: none given, and any beyond the largest, is without end."""
+    return min(duration.nanoseconds or INFINITE_NS, INFINITE_NS)

@@ -11,7 +11,13 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.service import Service
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -90,6 +96,8 @@ class PlayerNode(LoopNode):
 
     def activate(self) -> None:
         self._answered_at = self._published_at = self._now()
+        if self._begun and not self._lockstep:
+            self._anchor()  # it goes on where it was, and catches up with nothing
         tick = self._watch if self._lockstep else self._tick
         self._timer = self.create_timer(_MATCHING_PERIOD, tick, clock=self._steady_clock)
 
@@ -315,9 +323,12 @@ def offered_quality(profiles: tuple[QosProfile, ...]) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-    deadline = max((each.deadline_ns for each in profiles), default=INFINITE_NS)
-    if 0 < deadline < INFINITE_NS:
-        quality.deadline = Duration(nanoseconds=deadline)
+    if profiles and all(each.liveliness == 'manual_by_topic' for each in profiles):
+        quality.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+    for duration in ('deadline', 'lifespan', 'liveliness_lease_duration'):
+        longest = max((getattr(each, f'{duration}_ns') for each in profiles), default=INFINITE_NS)
+        if 0 < longest < INFINITE_NS:
+            setattr(quality, duration, Duration(nanoseconds=longest))
     return quality
 
 

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,8 @@ from dpc_ros.nodes.topics import LOOP_QOS, TOPICS
 from dpc_ros.parameters import read_sections
 
 _QUIET = 0.2  # s without a message after which nothing more is on its way
+_ON_ITS_WAY = 2.0  # s after the stop in which may come what was published before it
+_LONGEST_DRAIN = 30.0  # s in which what waits for the recorder at the stop is taken
 _MODEL_TOPICS = ('configuration', 'latent_state')  # their frame_id is `<name>@<digest>`
 
 
@@ -60,6 +62,15 @@ class _Recorded:
     is_of_loop: bool
     publishers: int = 0
     is_in_bag: bool = False
+    heard: set[tuple[int, int]] = field(default_factory=set)  # before a publisher was known
+
+    def has_heard(self, info: dict[str, int]) -> bool:
+        """Return whether a message came before, to a subscription that asked for less."""
+        message = info['source_timestamp'], info['publication_sequence_number']
+        if not self.publishers and not self.is_of_loop:
+            self.heard.add(message)
+            return False
+        return message in self.heard
 
 
 class RecorderNode(LoopNode):
@@ -82,6 +93,7 @@ class RecorderNode(LoopNode):
         self._questions: NodeParameters | None = None
         self._last_message = time.monotonic()
         self._end_ns: int | None = None  # what is published later is not recorded
+        self._ended_at = 0.0
 
     def configure(self) -> None:
         settings = self.settings
@@ -108,19 +120,24 @@ class RecorderNode(LoopNode):
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
             for section in sections.values():
                 self._attach(section)
+        self._questions = NodeParameters(self, self._keep_parameters)
+        self.get_logger().info(f'recording to {self._writer.folder}')
+
+    def activate(self) -> None:
+        if self._ticks:
+            return  # it listened while it was inactive
+        # Not before: what is latched comes once, and is for the log.
         for topic, entry in TOPICS.items():
             name = self.resolve_topic_name(topic)
             if self._selection.selects(name):
                 self._subscribe(name, entry.message_type, entry.qos, is_of_loop=True)
-        self._questions = NodeParameters(self, self._keep_parameters)
         # Half the interval: a tick may come late, a message may not wait longer than promised.
         for period, action in (
-            (settings['sync_interval'] / 2, self._sync),
-            (settings['discovery_interval'], self._look_around),
+            (self.settings['sync_interval'] / 2, self._sync),
+            (self.settings['discovery_interval'], self._look_around),
         ):
             self._ticks.append(self.create_timer(period, action, clock=self._steady_clock))
         self._look_around()
-        self.get_logger().info(f'recording to {self._writer.folder}')
 
     def clean_up(self) -> None:
         for timer in self._ticks:
@@ -143,8 +160,10 @@ class RecorderNode(LoopNode):
     def is_drained(self) -> bool:
         if self._end_ns is None:
             self._end_ns = time.time_ns()
-            self._last_message = time.monotonic()
-        return time.monotonic() - self._last_message > _QUIET
+            self._ended_at = self._last_message = time.monotonic()
+        now = time.monotonic()
+        # The steady clock has the last word: a wall clock that is set may not hold up the end.
+        return now - self._last_message > _QUIET or now - self._ended_at > _LONGEST_DRAIN
 
     def finish(self) -> None:
         if self._writer is not None:
@@ -185,14 +204,16 @@ class RecorderNode(LoopNode):
         count = self.count_publishers(name)
         if recorded.is_of_loop or count == recorded.publishers:
             return
-        recorded.publishers = count
+        is_first = not recorded.publishers
         publishers = self.get_publishers_info_by_topic(name)
-        if not publishers or recorded.is_in_bag:
+        recorded.publishers = count
+        if not publishers or (recorded.is_in_bag and not is_first):
             return
         fitting = fitting_profile(publishers, LOOP_QOS.depth)
         misses_latched = fitting.durability != recorded.profile.durability
         if misses_latched or not hears_any(recorded.profile, publishers):
             self.destroy_subscription(recorded.subscription)
+            self._sequences.pop(name, None)  # what was kept comes with its numbers again
             recorded.profile = fitting
             recorded.subscription = self._listen(name, recorded.message_type, fitting)
 
@@ -211,14 +232,14 @@ class RecorderNode(LoopNode):
         return self.create_subscription(message_type, name, record, profile, raw=True)
 
     def _record(self, name: str, data: bytes, info: dict[str, int]) -> None:
-        if self._end_ns is not None and info['source_timestamp'] > self._end_ns:
+        if self._end_ns is not None and self._is_too_late(info, self._end_ns):
             return
         number = info['publication_sequence_number']
         gap = self._sequences[name].gap(number, partial(self.count_publishers, name))
         self.health.received += 1
         self.health.lost[name] += gap
         writer = self._writer
-        if not self.active or writer is None:
+        if not self.active or writer is None or self._recorded[name].has_heard(info):
             return
         self._last_message = time.monotonic()
         with self._writing(writer):
@@ -233,6 +254,17 @@ class RecorderNode(LoopNode):
                 publish_time_ns=info['source_timestamp'],
                 sequence=number,
             )
+
+    def _is_too_late(self, info: dict[str, int], end_ns: int) -> bool:
+        """Return whether a message was published after the end.
+
+        What the middleware had received by then was not. Else the publisher's clock says so, but
+        it may be behind: it is believed only while something may still be on its way.
+        """
+        if info['received_timestamp'] <= end_ns:
+            return False
+        is_overdue = time.monotonic() - self._ended_at > _ON_ITS_WAY
+        return is_overdue or info['source_timestamp'] > end_ns
 
     def _introduce(self, writer: BagWriter, name: str, data: bytes) -> None:
         """Say in the log what a topic is, with its first message."""

@@ -33,6 +33,8 @@ def main(arguments: list[str] | None = None) -> None:
         plan.write()
     except (ValueError, OSError) as error:
         sys.exit(_complain(str(error), 2))
+    except KeyboardInterrupt:
+        sys.exit(_INTERRUPTED)
     with StopRequest(namespace_arguments(plan)) as stop:
         failure, code = run_processes(plan, stop)
         interrupted = bool(stop)

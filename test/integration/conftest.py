@@ -67,9 +67,17 @@ class Domain:
         }
 
     def start(self, module: str, *arguments: str, cwd: Path | None = None) -> subprocess.Popen:
+        return self._start(['-m', f'dpc_ros.nodes.{module}', *arguments], self.environment, cwd)
+
+    def start_script(self, script: str, *arguments: str, **variables: str) -> subprocess.Popen:
+        return self._start(['-c', script, *arguments], {**self.environment, **variables})
+
+    def _start(
+        self, arguments: list[str], environment: dict[str, str], cwd: Path | None = None
+    ) -> subprocess.Popen:
         process = subprocess.Popen(
-            [sys.executable, '-m', f'dpc_ros.nodes.{module}', *arguments],
-            env=self.environment,
+            [sys.executable, *arguments],
+            env=environment,
             cwd=cwd,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

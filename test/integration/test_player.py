@@ -1,8 +1,12 @@
 """The player publishes a log's bytes again: all of them, in order, when and where it is told."""
 
+import time
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.interfaces import (
@@ -170,6 +174,34 @@ def test_a_paused_player_steps_from_a_start_time_on_a_remapped_topic(domain, obs
     assert heard['/other'] == following
     assert not heard['/configuration']
     assert not heard['/control_force']
+
+
+def test_a_player_that_was_inactive_goes_on_where_it_was_without_a_burst(domain, observer, log):
+    folder, expected = log
+    rate = 0.1
+    heard = listen(observer, ['/configuration'])['/configuration']
+    process = play(domain, folder, ['configuration'], 'topics:=[configuration]', f'rate:={rate}')
+    client = observer.node.create_client(ChangeState, '/player/change_state')
+    observer.wait(lambda: heard, 'a first message')
+
+    def change(transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        future = client.call_async(request)
+        observer.wait(future.done, 'an answer')
+        assert future.result().success
+
+    change(Transition.TRANSITION_DEACTIVATE)
+    inactive_since = time.monotonic()
+    observer.wait(lambda: time.monotonic() - inactive_since > 1.0, 'a while to pass')
+    count = len(heard)
+    activated_at = time.monotonic()
+    change(Transition.TRANSITION_ACTIVATE)
+    observer.wait(lambda: len(heard) == COUNT, 'the last message')
+    recorded = (COUNT // 2 - 1 - count // 2) * 2 * STEP / 1e9  # from the next message to the last
+    assert time.monotonic() - activated_at >= recorded / rate
+    code, output = domain.stop(process)
+    assert code == 0, output
+    assert heard == expected['/configuration']
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+import subprocess
 from array import array
 
 import numpy as np
@@ -12,9 +13,12 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 from rclpy.context import Context
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Empty, Int64MultiArray, String
@@ -27,10 +31,13 @@ from dpc_ros.bag import (
     MODELS_RECORD,
     NODE_PARAMETERS_RECORD,
     VERSIONS_RECORD,
+    read_topics,
 )
 from dpc_ros.bag.mcap_file import read_contents, read_messages
 from dpc_ros.network import load_network
 from dpc_ros.nodes.executor import KeptWaitSetExecutor
+from dpc_ros.nodes.node_parameters import NodeParameters
+from dpc_ros.nodes.player_node import offered_quality
 from dpc_ros.nodes.recorder_node import RecorderNode
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
 from dpc_ros.resources import config_path
@@ -38,6 +45,34 @@ from dpc_ros.resources import config_path
 LOOP = ('simulator', 'encoder', 'controller')
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CLOCK_AN_HOUR_BEHIND = r"""
+#define _GNU_SOURCE
+#include <time.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+int clock_gettime(clockid_t clock, struct timespec *time) {
+    int result = syscall(SYS_clock_gettime, clock, time);
+    if (clock == CLOCK_REALTIME) time->tv_sec -= 3600;
+    return result;
+}
+"""
+ENDLESS_PUBLISHER = """
+import time, rclpy
+from std_msgs.msg import String
+rclpy.init()
+publisher = rclpy.create_node('talker').create_publisher(String, '/lab/chat', 10)
+while True:
+    publisher.publish(String(data='on and on'))
+    time.sleep(0.01)
+"""
+
+WORKER = """
+import sys, rclpy
+rclpy.init()
+node = rclpy.create_node('worker', namespace='/lab')
+node.declare_parameter('number', int(sys.argv[1]))
+rclpy.spin(node)
+"""
 
 
 class Recording:
@@ -157,6 +192,85 @@ def test_the_first_publisher_may_come_after_the_subscription(recording, observer
     publisher.publish(String(data='a'))
     made.wait_for(1)
     assert made.stop().messages == {'/lab/late': 1}
+
+
+def test_what_is_latched_is_recorded_once_though_a_later_message_came_first(recording, observer):
+    observer.node.create_subscription(String, '/lab/late', print, LATCHED)
+    made = recording("topics:=['/lab/*']", 'discovery_interval:=1.0')
+    count = observer.node.count_subscribers
+    observer.wait(lambda: count('/lab/late') == 2, 'the recorder to listen')
+    publisher = observer.node.create_publisher(String, '/lab/late', LATCHED)
+    publisher.publish(String(data='kept'))
+    observer.wait(lambda: publisher.get_subscription_count() == 2, 'the recorder to be matched')
+    publisher.publish(String(data='heard'))
+    made.wait_for(2)
+    made.stop()
+    found = {message.content.data for message in read_messages(made.file, ['/lab/late'])}
+    assert found == {'kept', 'heard'}
+    assert sorted(made.numbers) == [1, 2]
+
+
+def test_what_is_latched_is_recorded_where_a_recorder_is_activated_later(recording, observer):
+    observer.node.create_publisher(JointState, 'target', TARGET_QOS).publish(JointState())
+    made = recording('topics:=[target]', 'autostart:=false')
+    client = observer.node.create_client(ChangeState, 'recorder/change_state')
+    observer.wait(client.service_is_ready, 'its services')
+    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        answer = client.call_async(request)
+        observer.wait(answer.done, 'an answer')
+        assert answer.result().success
+    made.wait_for(1)
+    assert made.stop().messages == {'/target': 1}
+
+
+def test_the_log_keeps_the_times_that_a_publisher_offers_and_the_player_offers_them_again(
+    recording,
+):
+    offered = QoSProfile(
+        depth=10,
+        deadline=Duration(seconds=1),
+        lifespan=Duration(seconds=5),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=7),
+    )
+    made = recording("topics:=['/lab/*']")
+    for topic, qos in (('/lab/strict', offered), ('/lab/lax', LOOP_QOS)):
+        made.publisher(String, topic, qos).publish(String())
+    made.wait_for(2)
+    made.stop()
+    with AnyReader([made.folder]) as reader:
+        logged = {each.topic: each.ext.offered_qos_profiles[0] for each in reader.connections}
+    times = ('deadline', 'lifespan', 'liveliness_lease_duration')
+    for topic, seconds in (('/lab/strict', [1, 5, 7]), ('/lab/lax', [9223372036] * 3)):
+        assert [getattr(logged[topic], name).sec for name in times] == seconds
+    again = {
+        name: offered_quality(topic.offered_qos_profiles)
+        for name, topic in read_topics(made.folder).items()
+    }
+    for name in (*times, 'liveliness'):
+        assert getattr(again['/lab/strict'], name) == getattr(offered, name)
+        assert getattr(again['/lab/lax'], name) == getattr(QoSProfile(depth=1), name)
+
+
+def test_a_node_that_was_killed_and_started_anew_is_asked_anew(domain, observer):
+    answers = []
+    questions = NodeParameters(observer.node, lambda *answer: answers.append(answer))
+
+    def has_answered(number):
+        questions.look()
+        given = [values['number'] for name, values in answers if name == '/lab/worker']
+        return given and given[-1] == number
+
+    worker = domain.start_script(WORKER, '1')
+    observer.wait(lambda: has_answered(1), 'the first answer')
+    domain.kill(worker)
+    domain.start_script(WORKER, '2')
+    observer.wait(lambda: has_answered(2), 'the answer of the second')
+    given = [values['number'] for name, values in answers if name == '/lab/worker']
+    assert given == [1, 2]
+    assert '/observer' in dict(answers)
+    questions.close()
 
 
 def test_a_split_log_is_still_one_log(recording):
@@ -317,6 +431,22 @@ def test_what_is_recorded_is_synced_within_the_interval(
         node.close()
         context.try_shutdown()
     assert len(synced) > count, 'the end is synced, too'
+
+
+def test_a_publisher_whose_clock_is_behind_does_not_hold_up_the_end(recording, domain, tmp_path):
+    compiler = shutil.which('cc')
+    if compiler is None:
+        pytest.skip('no C compiler to build another clock with')
+    clock = tmp_path / 'clock.so'
+    command = [compiler, '-shared', '-fPIC', '-x', 'c', '-', '-o', str(clock)]
+    subprocess.run(command, input=CLOCK_AN_HOUR_BEHIND, text=True, check=True)
+    domain.start_script(ENDLESS_PUBLISHER, LD_PRELOAD=str(clock))
+    made = recording("topics:=['/lab/*']")
+    made.wait_for(10)
+    made.stop()
+    half_an_hour = 1800 * 10**9
+    for message in read_messages(made.file, ['/lab/chat']):
+        assert message.log_time_ns - message.publish_time_ns > half_an_hour
 
 
 def flood(made):
