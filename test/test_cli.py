@@ -147,6 +147,7 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['bag', 'export', 'bad.mcap', 'bad.npz'], 'bad.npz: expected a new place'),
         (['bag', 'export', 'bad.mcap', 'new.txt'], 'expected a name that ends in one of'),
         (['bag', 'converge', 'bad.mcap'], 'bad.mcap'),
+        (['bag', 'rerun', 'bad.mcap', '--output', 'new'], '--output: expected --over-dds'),
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else '',
 )

@@ -76,12 +76,13 @@ def rerun(
         progress: show a bar.
 
     Raises:
-        BagError: the bag can't be read, does not say its parameters, or belongs to other models
-            than the parameters name.
+        BagError: the bag can't be read, holds no answers, does not say its parameters, or belongs
+            to other models than the parameters name.
         ValueError: a parameter, network or checkpoint can't be used.
     """
     overrides = overrides or {}
     signals = read_signals(bag, namespace)
+    check_answers(signals)
     parameters = logged_parameters(signals, overrides)
     encoder = OnlineEncoder(parameters['encoder'])
     controller = OnlineController(parameters['controller'])
@@ -97,6 +98,20 @@ def rerun(
         'force': forces,
     }
     return judge(signals, repeated, parameters, (*notes, *problems))
+
+
+def check_answers(signals: Signals) -> None:
+    """Make sure that a log has something to compare with.
+
+    Raises:
+        BagError: it holds no latent states or no forces.
+    """
+    for name, signal in (('latent states', signals.latent), ('forces', signals.force)):
+        if not signal.samples:
+            raise BagError(
+                f'{signals.path}: expected a log of a closed loop, but it holds no {name}: nothing '
+                'to compare, record latent_state and control_force, too'
+            )
 
 
 def judge(

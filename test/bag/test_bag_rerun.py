@@ -1,9 +1,12 @@
 """Logs of the in-process loop, run again: epochs, repeats, targets, parameters, machines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 
+from dpc_ros import cli
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import MACHINE_RECORD, PARAMETERS_RECORD, BagError, BagWriter
 from dpc_ros.bag.rerun import rerun
@@ -164,6 +167,18 @@ def test_another_checkpoint_is_compared_where_it_can_be(write_log):
 def test_what_can_not_be_run_again_is_said(write_log, changes, overrides, error, words):
     with pytest.raises(error, match=words):
         rerun(write_log(**changes), overrides)
+
+
+@pytest.mark.parametrize(
+    ('silent', 'words'), [(('latent', 'force'), 'no latent states'), (('force',), 'no forces')]
+)
+@pytest.mark.parametrize('flags', [[], ['--over-dds']], ids=['in process', 'over DDS'])
+def test_a_log_without_answers_is_refused(small_log, record, capsys, silent, words, flags):
+    log = record(replace(small_log, **{name: [] for name in silent}))
+    with pytest.raises(SystemExit) as caught:
+        cli.main(['bag', 'rerun', str(log), *flags])
+    assert caught.value.code == 2
+    assert f'holds {words}: nothing to compare' in capsys.readouterr().err
 
 
 def test_deviations_count_what_is_not_finite():
