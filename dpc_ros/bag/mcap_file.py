@@ -113,6 +113,7 @@ class Message:
         sequence: the publisher's number of the message, 0 if not known.
         log_time_ns: when it was received [ns since the epoch].
         publish_time_ns: when it was sent [ns since the epoch].
+        cdr: the serialised message, with its encapsulation header.
         content: an object with the fields of the ROS message.
     """
 
@@ -121,6 +122,7 @@ class Message:
     sequence: int
     log_time_ns: int
     publish_time_ns: int
+    cdr: bytes
     content: Any
 
 
@@ -260,6 +262,7 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             record.sequence,
             record.log_time,
             record.publish_time,
+            record.data,
             content,
         )
 
