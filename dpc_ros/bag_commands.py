@@ -169,7 +169,7 @@ def rerun(options: argparse.Namespace) -> int:
         print(table(result))
         return 0 if result.passed else 1
 
-    from dpc_ros.bag.rerun import judge
+    from dpc_ros.bag.rerun import judge, parameter_notes
     from dpc_ros.bag.signals import read_signals
 
     signals = read_signals(options.bag, options.namespace)
@@ -187,7 +187,7 @@ def rerun(options: argparse.Namespace) -> int:
     if code:
         return code
     repeated = read_signals(folder / 'bag', signals.namespace)
-    result = judge(signals, repeated.columns(), parameters)
+    result = judge(signals, repeated.columns(), parameters, parameter_notes(signals))
     print(table(result))
     print(f'log        {folder / "bag"}')
     return 0 if result.passed else 1
