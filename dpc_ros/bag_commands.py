@@ -153,11 +153,13 @@ def add_rerun_command(commands: Any) -> None:
 
 def rerun(options: argparse.Namespace) -> int:
     """Feed a log through encoder and controller again and show what has changed."""
-    from dpc_ros.bag.rerun import RERUN_NODES, logged_parameters
+    from dpc_ros.bag.rerun import RERUN_NODES, check_answers, logged_parameters
     from dpc_ros.bag.rerun import rerun as run_again
     from dpc_ros.bag.rerun_table import table
     from dpc_ros.parameters import parse_overrides
 
+    if options.output and not options.over_dds:
+        raise ValueError('--output: expected --over-dds with it, only then a new log is written')
     overrides = parse_overrides(options.set)
     if options.checkpoint:
         for node in RERUN_NODES:
@@ -167,10 +169,11 @@ def rerun(options: argparse.Namespace) -> int:
         print(table(result))
         return 0 if result.passed else 1
 
-    from dpc_ros.bag.rerun import judge
+    from dpc_ros.bag.rerun import judge, parameter_notes
     from dpc_ros.bag.signals import read_signals
 
     signals = read_signals(options.bag, options.namespace)
+    check_answers(signals)
     parameters = logged_parameters(signals, overrides)
     folder = Path(options.output or f'runs/rerun_{datetime.datetime.now():%Y%m%d_%H%M%S}')
     sets = [
@@ -184,7 +187,7 @@ def rerun(options: argparse.Namespace) -> int:
     if code:
         return code
     repeated = read_signals(folder / 'bag', signals.namespace)
-    result = judge(signals, repeated.columns(), parameters)
+    result = judge(signals, repeated.columns(), parameters, parameter_notes(signals))
     print(table(result))
     print(f'log        {folder / "bag"}')
     return 0 if result.passed else 1

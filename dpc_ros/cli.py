@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -64,11 +65,17 @@ GENERATOR_OPTIONS: dict[str, tuple[Callable[[str], float], str, str]] = {
 def main(arguments: list[str] | None = None) -> None:
     """Run one command; a bad input ends with one line and exit code 2, Ctrl-C with 130.
 
-    A command that finds something to complain of returns an exit code of its own.
+    A command that finds something to complain of returns an exit code of its own. A reader of the
+    output that has seen enough, as `head`, is no error.
     """
     options = _parser().parse_args(arguments)
     try:
         status = options.command(options)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What is still in the buffer is flushed once more at the exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return
     except (ValueError, OSError) as error:
         print(f'error: {error}', file=sys.stderr)
         sys.exit(2)

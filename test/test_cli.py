@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,6 +148,7 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['bag', 'export', 'bad.mcap', 'bad.npz'], 'bad.npz: expected a new place'),
         (['bag', 'export', 'bad.mcap', 'new.txt'], 'expected a name that ends in one of'),
         (['bag', 'converge', 'bad.mcap'], 'bad.mcap'),
+        (['bag', 'rerun', 'bad.mcap', '--output', 'new'], '--output: expected --over-dds'),
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else '',
 )
@@ -217,6 +219,16 @@ def test_a_place_that_cannot_be_written_is_named(dpc, tmp_path, small_network):
     assert "error: mine.json/data.npz can't be written" in run.stderr
     assert 'Traceback' not in run.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / 'mine.json']
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    reader, writer = os.pipe()
+    os.close(reader)
+    bag = Path(__file__).parent.parent / 'bags' / 'demo_1s'
+    command = [sys.executable, '-m', 'dpc_ros.cli', 'bag', 'info', str(bag)]
+    run = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (run.returncode, run.stderr) == (0, '')
 
 
 def test_simulate_writes_the_data_of_a_network(dpc, tmp_path, small_network):

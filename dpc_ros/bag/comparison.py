@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +17,9 @@ from dpc_ros.bag.mcap_file import Contents, Message, read_contents, read_message
 from dpc_ros.bag.metadata import NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
 
 _PARAMETERS_KEY = 'ros__parameters'
-_RECORDER = 'recorder.'  # its parameters say where and how a log is kept, not what ran
+_RECORDER = 'recorder'  # the node whose parameters say how a log is kept, not what ran
+
+_Key = tuple[int, ...]  # epoch, stamp [ns], number among those of the stamp; number in the topic
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,9 @@ class TopicComparison:
     Attributes:
         topic: its name.
         types: its type in each log, empty where it is not there.
-        messages: number in each log, repeats of a stamp included.
-        stamps: number of different stamps in each log.
-        only: stamps that only one of the logs has.
+        messages: number in each log, repeats included.
+        distinct: number in each log without the repeats.
+        only: of these, how many have no counterpart in the other log.
         different: number of messages that differ by more than the tolerance.
         first: the first of these differences.
         deviations: of each numeric field that deviates at all.
@@ -69,7 +72,7 @@ class TopicComparison:
     topic: str
     types: tuple[str, str]
     messages: tuple[int, int]
-    stamps: tuple[int, int] = (0, 0)
+    distinct: tuple[int, int] = (0, 0)
     only: tuple[int, int] = (0, 0)
     different: int = 0
     first: Difference | None = None
@@ -77,7 +80,7 @@ class TopicComparison:
 
     @property
     def is_equal(self) -> bool:
-        """Whether both logs have the same, up to the tolerance and to repeats of a stamp."""
+        """Whether both logs have the same, up to the tolerance and to repeats."""
         return self.types[0] == self.types[1] and not any(self.only) and not self.different
 
 
@@ -98,8 +101,8 @@ class Comparison:
     @property
     def is_equal(self) -> bool:
         """Whether the same ran: all messages, and all parameters but those of the recorder."""
-        ran = [name for name in self.parameters if not name.startswith(_RECORDER)]
-        return all(topic.is_equal for topic in self.topics) and not ran
+        nodes = {name.partition('.')[0].rpartition('/')[2] for name in self.parameters}
+        return all(topic.is_equal for topic in self.topics) and nodes <= {_RECORDER}
 
 
 def compare(
@@ -107,8 +110,10 @@ def compare(
 ) -> Comparison:
     """Hold two logs against each other.
 
-    Messages are those of the same header stamp, of which the first counts; those without a header
-    are counted through. One topic of the first log at a time is held in memory.
+    A message that says the one before again, bit for bit, is left out. Of the others those of the
+    same epoch, header stamp and number among those of that stamp belong together; those without a
+    header are counted through. An epoch ends where a stamp falls back. One topic of the first log
+    at a time is held in memory.
 
     Args:
         first: folder of a bag, or an MCAP file.
@@ -161,20 +166,28 @@ def _compare_topic(
             if result.first is None or order[key] < result.first.index:
                 stamp = stamp_ns(message.content)
                 result.first = Difference(order[key], stamp, *found)
-    result.stamps = len(logged), count
+    result.distinct = len(logged), count
     result.only = len(logged) - len(common), count - len(common)
     return result
 
 
-def _distinct(path: str | Path, topic: str) -> Iterator[tuple[int, Message]]:
-    """Yield the messages of a topic with their stamps, or numbers, the first of each stamp."""
-    seen = set()
+def _distinct(path: str | Path, topic: str) -> Iterator[tuple[_Key, Message]]:
+    """Yield the messages of a topic without repeats, each with what it is found by."""
+    epoch, last, said = 0, 0, b''
+    counts: Counter[int] = Counter()  # of each stamp of the epoch
     for number, message in enumerate(read_messages(path, [topic])):
         stamp = stamp_ns(message.content)
-        key = number if stamp is None else stamp
-        if key not in seen:
-            seen.add(key)
-            yield key, message
+        if stamp is None:
+            yield (number,), message
+            continue
+        if message.cdr == said:
+            continue
+        if stamp < last:
+            epoch += 1
+            counts.clear()
+        last, said = stamp, message.cdr
+        yield (epoch, stamp, counts[stamp]), message
+        counts[stamp] += 1
 
 
 def _scales(messages: Any) -> dict[str, float]:

@@ -30,9 +30,9 @@ def _topic(topic: TopicComparison) -> list[str]:
         a, b = (type_name or 'not there' for type_name in topic.types)
         return [f'{topic.topic}  {a} → {b}']
     verdict = 'equal' if topic.is_equal else 'DIFFERENT'
-    lines = [f'{topic.topic}  {verdict}: {topic.stamps[0]} and {topic.stamps[1]} messages']
-    if topic.messages != topic.stamps:
-        repeats = (logged - n for logged, n in zip(topic.messages, topic.stamps, strict=True))
+    lines = [f'{topic.topic}  {verdict}: {topic.distinct[0]} and {topic.distinct[1]} messages']
+    if topic.messages != topic.distinct:
+        repeats = (logged - n for logged, n in zip(topic.messages, topic.distinct, strict=True))
         lines[0] += ', {} and {} repeats'.format(*repeats)
     for which, count in zip(('first', 'second'), topic.only, strict=True):
         if count:

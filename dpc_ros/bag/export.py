@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dpc_ros.bag.fields import fields, stamp_ns
+from dpc_ros.bag.fields import fields, number_array, stamp_ns
 from dpc_ros.bag.mcap_file import Message, read_contents, read_messages
 from dpc_ros.files import new_folder, replacing
 from dpc_ros.network import MassSpringNetwork, load_network
+
+_WHOLE = 'biu'  # kinds of numpy types that have no NaN
 
 
 @dataclass(eq=False)
@@ -24,7 +26,8 @@ class Table:
 
     Attributes:
         fields: `stamp_ns` (where there is a header), `log_time_ns` and each field of the messages:
-            one value a row, or an array of one length; shorter ones end in NaN or empty texts.
+            one value a row, or an array of one length. What is missing, as at the end of a shorter
+            array, is NaN, an empty text, or masked among whole numbers, which keep all digits.
         names: of the elements of an array field, where they have names.
     """
 
@@ -149,17 +152,36 @@ def _array(values: Sequence[Any]) -> np.ndarray | None:
     if any(isinstance(value, str) for value in values):
         return np.array([value or '' for value in values])
     if not any(isinstance(value, np.ndarray) for value in values):
-        return np.array([np.nan if value is None else value for value in values])
+        return _numbers(values)
     arrays = [np.zeros(0) if value is None else np.ravel(value) for value in values]
+    return _padded(arrays) if any(len(array) for array in arrays) else None
+
+
+def _numbers(values: Sequence[Any]) -> np.ndarray:
+    """Return numbers as an array; one that is None is NaN, or masked among whole numbers."""
+    missing = np.array([value is None for value in values])
+    known = [value for value in values if value is not None]
+    array = number_array([known[0] if value is None else value for value in values])
+    if not missing.any():
+        return array
+    masked = np.ma.array(array, mask=missing)
+    return masked if array.dtype.kind in _WHOLE else masked.filled(np.nan)
+
+
+def _padded(arrays: list[np.ndarray]) -> np.ndarray:
+    """Return arrays as rows; what the shorter ones lack is NaN, or masked among whole numbers."""
     size = max(len(array) for array in arrays)
-    if not size:
-        return None
+    types = {array.dtype for array in arrays if len(array)}  # an empty one is no number
+    is_whole = all(dtype.kind in _WHOLE for dtype in types)
+    # Beside numbers beyond int64 there are no negative ones: they are of one field.
+    largest = np.dtype(np.uint64)
+    dtype = largest if is_whole and largest in types else np.result_type(*types)
     if all(len(array) == size for array in arrays):
-        return np.array(arrays)
-    padded = np.full((len(arrays), size), np.nan)
-    for row, array in zip(padded, arrays, strict=True):
-        row[: len(array)] = array
-    return padded
+        return np.array(arrays, dtype=dtype)
+    padded = np.ma.masked_all((len(arrays), size), dtype)
+    for row, array in enumerate(arrays):
+        padded[row, : len(array)] = array
+    return padded if is_whole else padded.filled(np.nan)
 
 
 _Tables = Iterator[tuple[str, Table]]
@@ -189,15 +211,26 @@ def _npz_writer() -> _Writer:
         arrays = {
             f'{topic}/{name}': values
             for topic, table in tables
-            for name, values in (
-                *table.fields.items(),
-                *((f'{name}.names', np.array(names)) for name, names in table.names.items()),
-            )
+            for name, values in _npz_arrays(table).items()
         }
         with replacing(target) as partial, partial.open('wb') as stream:
             np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
     return write
+
+
+def _npz_arrays(table: Table) -> dict[str, np.ndarray]:
+    """Return the fields of a table with what the format has no place for: names and masks."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in table.fields.items():
+        if isinstance(values, np.ma.MaskedArray):
+            arrays[name] = values.filled(0)
+            arrays[f'{name}.missing'] = np.ma.getmaskarray(values)
+        else:
+            arrays[name] = values
+        if name in table.names:
+            arrays[f'{name}.names'] = np.array(table.names[name])
+    return arrays
 
 
 def _parquet_writer() -> _Writer:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dpc_ros.bag.topic import NANOSECONDS
 
+_LARGEST = np.iinfo(np.int64).max
 _TIME = ('sec', 'nanosec')  # fields of builtin_interfaces' Time and Duration
 
 
@@ -28,6 +30,13 @@ def fields(content: Any) -> dict[str, Any]:
     return found
 
 
+def number_array(numbers: Sequence[float]) -> np.ndarray:
+    """Return numbers of one field as an array, whole ones with all their digits."""
+    # numpy makes doubles of whole numbers of which only some are beyond int64.
+    is_beyond = len(numbers) and isinstance(numbers[0], int) and max(numbers) > _LARGEST
+    return np.array(numbers, dtype=np.uint64 if is_beyond else None)
+
+
 def _collect(value: Any, name: str, found: dict[str, Any]) -> None:
     slots = getattr(value, '__slots__', None)
     if slots is not None and tuple(slots) == _TIME:
@@ -41,7 +50,7 @@ def _collect(value: Any, name: str, found: dict[str, Any]) -> None:
         for place, item in enumerate(value):
             _collect(item, f'{name}[{place}]', found)
     elif isinstance(value, list | tuple) and not (value and isinstance(value[0], str)):
-        found[name] = np.array(value)
+        found[name] = number_array(value)
     else:
         found[name] = value
 

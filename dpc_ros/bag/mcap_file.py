@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import heapq
+import os
 import struct
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
@@ -34,6 +35,7 @@ DAMAGE = (
     struct.error,
     ZstdError,
 )
+_verified: set[tuple[str, int, int]] = set()  # path, size and time [ns] of whole files
 _Record = tuple[Path, Schema | None, Channel, RecordedMessage]
 
 
@@ -113,6 +115,7 @@ class Message:
         sequence: the publisher's number of the message, 0 if not known.
         log_time_ns: when it was received [ns since the epoch].
         publish_time_ns: when it was sent [ns since the epoch].
+        cdr: the serialised message, with its encapsulation header.
         content: an object with the fields of the ROS message.
     """
 
@@ -121,6 +124,7 @@ class Message:
     sequence: int
     log_time_ns: int
     publish_time_ns: int
+    cdr: bytes
     content: Any
 
 
@@ -260,6 +264,7 @@ def read_messages(path: str | Path, topics: Collection[str] | None = None) -> It
             record.sequence,
             record.log_time,
             record.publish_time,
+            record.data,
             content,
         )
 
@@ -316,7 +321,7 @@ def _reader(file: Path) -> Iterator[McapReader]:
                 'name a bag that rosbag2 or dpc_ros recorded with MCAP storage'
             )
         try:
-            verify(stream)
+            _verify_once(stream)
             yield make_reader(stream, validate_crcs=True)
         except BagError:
             raise
@@ -325,6 +330,16 @@ def _reader(file: Path) -> Iterator[McapReader]:
                 f'{file}: expected a complete MCAP file, but it is cut off or damaged '
                 f'({reason(error)}): `dpc bag repair` saves what can be read of it'
             ) from error
+
+
+def _verify_once(stream: BinaryIO) -> None:
+    """Compare a whole file with its check sums unless that was done and it has not changed."""
+    state = os.fstat(stream.fileno())
+    key = (str(Path(stream.name).resolve()), state.st_size, state.st_mtime_ns)
+    if key not in _verified:
+        verify(stream)
+        _verified.add(key)
+    stream.seek(0)
 
 
 def reason(error: Exception) -> str:

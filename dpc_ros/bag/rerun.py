@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dpc_ros.bag.metadata import MACHINE_RECORD, PARAMETERS_RECORD
+from dpc_ros.bag.metadata import MACHINE_RECORD, NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.reader import Target as LoggedTarget
 from dpc_ros.bag.signals import Announcement, Deviation, Key, Signals, deviation, read_signals
 from dpc_ros.bag.splits import BagError
@@ -24,6 +24,7 @@ from dpc_ros.threads import single_threaded_algebra
 
 TOLERANCE = 1e-9  # relative, where the same bits can't be expected
 RERUN_NODES = ('encoder', 'controller')
+_LOGGED_NODES = ('simulator', *RERUN_NODES)
 
 Overrides = Mapping[str, Mapping[str, Any]]
 Columns = Mapping[str, Mapping[Key, np.ndarray]]
@@ -76,16 +77,17 @@ def rerun(
         progress: show a bar.
 
     Raises:
-        BagError: the bag can't be read, does not say its parameters, or belongs to other models
-            than the parameters name.
+        BagError: the bag can't be read, holds no answers, does not say its parameters, or belongs
+            to other models than the parameters name.
         ValueError: a parameter, network or checkpoint can't be used.
     """
     overrides = overrides or {}
     signals = read_signals(bag, namespace)
+    check_answers(signals)
     parameters = logged_parameters(signals, overrides)
     encoder = OnlineEncoder(parameters['encoder'])
     controller = OnlineController(parameters['controller'])
-    notes = _check_models(signals, encoder, controller, overrides)
+    notes = parameter_notes(signals) + _check_models(signals, encoder, controller, overrides)
     if parameters['encoder']['measure_delay']:
         notes += ('the log does not say the delays that were measured: none is foreseen',)
     with single_threaded_algebra():
@@ -97,6 +99,20 @@ def rerun(
         'force': forces,
     }
     return judge(signals, repeated, parameters, (*notes, *problems))
+
+
+def check_answers(signals: Signals) -> None:
+    """Make sure that a log has something to compare with.
+
+    Raises:
+        BagError: it holds no latent states or no forces.
+    """
+    for name, signal in (('latent states', signals.latent), ('forces', signals.force)):
+        if not signal.samples:
+            raise BagError(
+                f'{signals.path}: expected a log of a closed loop, but it holds no {name}: nothing '
+                'to compare, record latent_state and control_force, too'
+            )
 
 
 def judge(
@@ -116,6 +132,8 @@ def judge(
 def logged_parameters(signals: Signals, overrides: Overrides) -> dict[str, dict[str, Any]]:
     """Return the parameters of simulator, encoder and controller that a log was made with.
 
+    What a node answered when the recorder asked it wins over the parameter file of the run.
+
     Args:
         signals: of the log.
         overrides: values by node that win over them.
@@ -133,20 +151,67 @@ def logged_parameters(signals: Signals, overrides: Overrides) -> dict[str, dict[
                     f'no parameter {node}.{name}: expected one of '
                     f'{", ".join(RERUN_NODES)} (config/nodes/ lists them)'
                 )
-    text = signals.metadata.get(PARAMETERS_RECORD, {}).get('yaml')
-    if text is None:
+    of_file, answered = _of_file(signals), _answered(signals)
+    missing = [node for node in _LOGGED_NODES if node not in answered]
+    if of_file is None and missing:
         raise BagError(
-            f'{signals.path}: expected a log that holds its parameters ({PARAMETERS_RECORD}), got '
-            f'{sorted(signals.metadata) or "no metadata"}: record with the launcher, or with '
-            '`parameters_file`'
+            f'{signals.path}: expected a log that holds its parameters ({PARAMETERS_RECORD}, or '
+            f'{NODE_PARAMETERS_RECORD} of each node), got none of {", ".join(missing)} in '
+            f'{signals.namespace or "/"}: record with the launcher, with `parameters_file`, or '
+            'start the recorder first'
         )
-    sections = read_sections(text, f'{signals.path}: {PARAMETERS_RECORD}')
     return {
         node: node_parameters(
-            node, sections.get('/**', {}), sections.get(node, {}), overrides.get(node, {})
+            node,
+            (of_file or {}).get(node, {}),
+            answered.get(node, {}),
+            overrides.get(node, {}),
         )
-        for node in ('simulator', *RERUN_NODES)
+        for node in _LOGGED_NODES
     }
+
+
+def parameter_notes(signals: Signals) -> tuple[str, ...]:
+    """Return where what the nodes of a log answered is not what its parameter file says.
+
+    Raises:
+        ParameterError: a record of parameters can't be read, or a value can't be used.
+    """
+    of_file, answered = _of_file(signals), _answered(signals)
+    if of_file is None:
+        return ('the log holds no parameter file: its nodes said their parameters',)
+    notes = []
+    for node, values in answered.items():
+        expected = node_parameters(node, of_file[node])
+        for name, value in node_parameters(node, of_file[node], values).items():
+            if value != expected[name]:
+                notes.append(
+                    f'{node}.{name} is {value}, as the node said, not {expected[name]}, as the '
+                    'parameter file of the log'
+                )
+    return tuple(notes)
+
+
+def _of_file(signals: Signals) -> dict[str, dict[str, Any]] | None:
+    """Return the values by node of a log's parameter file, None where it has none."""
+    text = signals.metadata.get(PARAMETERS_RECORD, {}).get('yaml')
+    if text is None:
+        return None
+    sections = read_sections(text, f'{signals.path}: {PARAMETERS_RECORD}')
+    common = sections.get('/**', {})
+    return {node: {**common, **sections.get(node, {})} for node in _LOGGED_NODES}
+
+
+def _answered(signals: Signals) -> dict[str, dict[str, Any]]:
+    """Return the values by node that the nodes in the namespace of a run answered."""
+    texts = signals.metadata.get(NODE_PARAMETERS_RECORD, {})
+    found = {}
+    for node in _LOGGED_NODES:
+        name = f'{signals.namespace}/{node}'
+        if name in texts:
+            sections = read_sections(texts[name], f'{signals.path}: {NODE_PARAMETERS_RECORD}')
+            found[node] = sections.get(name.lstrip('/'), {})
+    return found
 
 
 def _criterion(signals: Signals, parameters: Overrides) -> tuple[bool, str]:

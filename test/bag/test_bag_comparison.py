@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpc_ros import cli
-from dpc_ros.bag import PARAMETERS_RECORD
+from dpc_ros.bag import NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.comparison import Deviation, compare
 from dpc_ros.bag.comparison_table import comparison_table
 from dpc_ros.control import LawSettings, Target, make_law, run_closed_loop
@@ -99,7 +99,7 @@ def test_what_was_changed_is_what_is_found(changed, tolerance, repeated, dropped
         if k not in dropped
     ]
     # The simulator says a state again, until it is answered.
-    other += [row for row in other if row[0] // STEP in repeated]
+    other = [row for row in other for _ in range(1 + repeated.count(row[0] // STEP))]
     found = compare(
         record(log_type(configuration=rows)), record(log_type(configuration=other)), tolerance
     )
@@ -116,6 +116,44 @@ def test_what_was_changed_is_what_is_found(changed, tolerance, repeated, dropped
         assert topic.first.field == 'position[0]'
     largest = max(deviations.values(), default=0.0)
     assert topic.deviations.get('position', Deviation(0.0, 0.0)).absolute == largest
+
+
+def test_every_message_counts_whatever_its_stamp(log_type, record):
+    def log(second_epoch=1.0, targets=(1.0, 2.0, 1.0)):
+        states = [(STEP * k, [float(k)], [0.0]) for k in (0, 0, 1, 2)]
+        again = [(t, [second_epoch * q[0]], v) for t, q, v in states]
+        goals = [(0, [target], False) for target in targets]  # all at once: without a stamp
+        return record(log_type(configuration=states + again, targets=goals))
+
+    one = log()
+    topics = {topic.topic: topic for topic in compare(one, log()).topics}
+    assert all(topic.is_equal for topic in topics.values())
+    assert topics['/configuration'].distinct == (6, 6)
+    assert topics['/target'].distinct == (3, 3)
+    topics = {topic.topic: topic for topic in compare(one, log(second_epoch=2.0)).topics}
+    assert topics['/configuration'].different == 2
+    assert topics['/configuration'].first.index == 4
+    for targets, different, only in (
+        ((1.0, 2.0, 3.0), 1, (0, 0)),
+        ((1.0, 2.0), 0, (1, 0)),
+        ((1.0, 2.0, 1.0, 2.0), 0, (0, 1)),
+    ):
+        topics = {topic.topic: topic for topic in compare(one, log(targets=targets)).topics}
+        assert (topics['/target'].different, topics['/target'].only) == (different, only)
+        assert not topics['/target'].is_equal
+
+
+@pytest.mark.parametrize(('node', 'is_equal'), [('recorder', True), ('recorder_arm', False)])
+def test_parameters_of_a_recorder_in_a_namespace_say_how_a_log_is_kept(
+    log_type, record, node, is_equal
+):
+    def log(folder):
+        name = f'/lab/body/{node}'
+        text = yaml.safe_dump({name: {'ros__parameters': {'bag': folder}}})
+        metadata = {NODE_PARAMETERS_RECORD: {name: text}}
+        return record(log_type(configuration=[(0, [1.0], [0.0])], metadata=metadata))
+
+    assert compare(log('runs/a'), log('runs/b')).is_equal == is_equal
 
 
 def test_no_number_equals_itself_only(log_type, record):

@@ -8,6 +8,7 @@ import pyarrow.parquet
 import pytest
 
 from dpc_ros import cli
+from dpc_ros.bag import BagWriter
 from dpc_ros.bag.export import export
 from dpc_ros.network import save_network
 
@@ -76,6 +77,45 @@ def test_targets_of_two_sizes_stand_in_one_table(log_type, record, tmp_path):
     with np.load(tmp_path / 'out.npz') as arrays:
         targets = arrays['lab/body/target/position']
     np.testing.assert_array_equal(targets, [[1.0, 2.0], [3.0, np.nan]])
+
+
+def test_whole_numbers_keep_all_digits_where_some_are_missing(messages, tmp_path):
+    types = messages.store.types
+    longest = types['builtin_interfaces/msg/Duration'](sec=2**31 - 1, nanosec=999_999_999)
+    largest = longest.sec * 10**9 + longest.nanosec  # no double has it
+    nothing = np.zeros(0)
+    point = types['trajectory_msgs/msg/JointTrajectoryPoint'](*[nothing] * 4, longest)
+    header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](0, 0), '')
+    layout = types['std_msgs/msg/MultiArrayLayout']([], 0)
+    rows = [
+        ('/path', 'trajectory_msgs/msg/JointTrajectory', [(header, [], p) for p in ([], [point])]),
+        (
+            '/seen',
+            'std_msgs/msg/UInt64MultiArray',
+            [(layout, np.array(a, np.uint64)) for a in ([7], [2**64 - 1, 8])],
+        ),
+    ]
+    with BagWriter(tmp_path / 'bag') as bag:
+        for topic, name, contents in rows:
+            bag.add_topic(messages.topic(topic, name))
+            for time, content in enumerate(contents):
+                cdr = messages.store.serialize_cdr(types[name](*content), name)
+                bag.write(topic, bytes(cdr), time, time)
+    for suffix in ('csv', 'npz', 'parquet'):
+        export(tmp_path / 'bag', tmp_path / f'out.{suffix}')
+    name = 'points[0].time_from_start'
+    for read, missing, number in ((read_csv, '', str), (read_parquet, None, int)):
+        target = tmp_path / f'out.{read.__name__.removeprefix("read_")}'
+        assert read(target, 'path')[name] == [missing, number(largest)]
+        table = read(target, 'seen')
+        assert table['data[0]'] == [number(7), number(2**64 - 1)]
+        assert table['data[1]'] == [missing, number(8)]
+    with np.load(tmp_path / 'out.npz') as arrays:
+        assert arrays[f'path/{name}'].tolist() == [0, largest]
+        assert arrays[f'path/{name}.missing'].tolist() == [True, False]
+        assert arrays['seen/data'].tolist() == [[7, 0], [2**64 - 1, 8]]
+        assert arrays['seen/data.missing'].tolist() == [[False, True], [False, False]]
+        assert 'path/log_time_ns.missing' not in arrays
 
 
 def test_what_can_not_be_exported_leaves_nothing(bag, tmp_path, monkeypatch):

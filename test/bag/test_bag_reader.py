@@ -1,3 +1,4 @@
+import os
 import shutil
 from itertools import pairwise
 
@@ -233,6 +234,18 @@ def test_a_file_with_flipped_bits_gives_the_run_or_a_bag_error(
 
 
 _BAGS = {}
+
+
+def test_a_file_that_was_found_whole_is_checked_again_once_it_has_changed(small_log, record):
+    file = record(small_log) / 'bag_0.mcap'
+    read_run(file)
+    data = bytearray(file.read_bytes())
+    time = file.stat().st_mtime_ns
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    os.utime(file, ns=(time + 1, time + 1))
+    with pytest.raises(BagError, match='dpc bag repair'):
+        read_run(file)
 
 
 def _bag(record, log):

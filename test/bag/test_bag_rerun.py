@@ -1,11 +1,20 @@
 """Logs of the in-process loop, run again: epochs, repeats, targets, parameters, machines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 
+from dpc_ros import cli
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.bag import MACHINE_RECORD, PARAMETERS_RECORD, BagError, BagWriter
+from dpc_ros.bag import (
+    MACHINE_RECORD,
+    NODE_PARAMETERS_RECORD,
+    PARAMETERS_RECORD,
+    BagError,
+    BagWriter,
+)
 from dpc_ros.bag.rerun import rerun
 from dpc_ros.bag.signals import deviation
 from dpc_ros.control import LawSettings, load_target, make_law, run_closed_loop
@@ -119,6 +128,39 @@ def test_a_changed_parameter_is_found_at_the_stamp_where_it_first_acts(write_log
     assert not force.missing
 
 
+def answers(**changes):
+    """Return what the nodes of the log answer when asked for their parameters."""
+    common = {'checkpoint': CHECKPOINT, 'encoder': 'projection', 'use_sim_time': False}
+    values = {
+        'simulator': {'time_mode': 'lockstep'},
+        'encoder': common,
+        'controller': {**common, 'law': 'lqr', **GAINS, **changes},
+    }
+    texts = {
+        f'/{node}': yaml.safe_dump({f'/{node}': {'ros__parameters': content}})
+        for node, content in values.items()
+    }
+    another = yaml.safe_dump({'/lab/encoder': {'ros__parameters': {'encoder': 'network'}}})
+    return {'/lab/encoder': another, **texts}
+
+
+def test_a_log_without_a_parameter_file_has_the_parameters_that_its_nodes_answered(write_log):
+    records = {PARAMETERS_RECORD: {'none': ''}, NODE_PARAMETERS_RECORD: answers()}
+    result = rerun(write_log(**records))
+    assert result.is_exact
+    assert result.is_identical
+    assert any('no parameter file' in note for note in result.notes)
+
+
+def test_what_the_nodes_answered_wins_over_the_parameter_file(write_log):
+    log = write_log(**{NODE_PARAMETERS_RECORD: answers(integral_gain=3.0)})
+    result = rerun(log)
+    assert not result.passed
+    (note,) = result.notes
+    assert 'controller.integral_gain is 3.0, as the node said, not 2.0' in note
+    assert rerun(log, {'controller': GAINS}).is_identical
+
+
 def test_another_machine_is_asked_for_less(write_log):
     log = write_log(**{MACHINE_RECORD: {**describe_machine(), 'processor': 'Z80'}})
     gain = LawSettings().force_weight * (1 + 1e-14)
@@ -144,6 +186,15 @@ def test_another_checkpoint_is_compared_where_it_can_be(write_log):
     ('changes', 'overrides', 'error', 'words'),
     [
         ({PARAMETERS_RECORD: {'none': ''}}, {}, BagError, 'holds its parameters'),
+        (
+            {
+                PARAMETERS_RECORD: {'none': ''},
+                NODE_PARAMETERS_RECORD: {'/encoder': answers()['/encoder']},
+            },
+            {},
+            BagError,
+            'none of simulator, controller in /',
+        ),
         ({'network_name': 'paper_2@000000000000'}, {}, BagError, 'paper_2@000000000000'),
         ({}, {'controller': {'gain': 1.0}}, ParameterError, 'controller.gain'),
         ({}, {'simulator': {'rate': 1.0}}, ParameterError, 'simulator.rate'),
@@ -164,6 +215,18 @@ def test_another_checkpoint_is_compared_where_it_can_be(write_log):
 def test_what_can_not_be_run_again_is_said(write_log, changes, overrides, error, words):
     with pytest.raises(error, match=words):
         rerun(write_log(**changes), overrides)
+
+
+@pytest.mark.parametrize(
+    ('silent', 'words'), [(('latent', 'force'), 'no latent states'), (('force',), 'no forces')]
+)
+@pytest.mark.parametrize('flags', [[], ['--over-dds']], ids=['in process', 'over DDS'])
+def test_a_log_without_answers_is_refused(small_log, record, capsys, silent, words, flags):
+    log = record(replace(small_log, **{name: [] for name in silent}))
+    with pytest.raises(SystemExit) as caught:
+        cli.main(['bag', 'rerun', str(log), *flags])
+    assert caught.value.code == 2
+    assert f'holds {words}: nothing to compare' in capsys.readouterr().err
 
 
 def test_deviations_count_what_is_not_finite():
