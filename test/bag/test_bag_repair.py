@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
@@ -46,16 +48,23 @@ class Expected:
         self.content = path.read_bytes()
         ends = [end for opcode, end in records_of(self.content) if opcode == OPCODE_CHUNK]
         with path.open('rb') as stream:
-            reader = make_reader(stream)
-            indexes = reader.get_summary().chunk_indexes
-            assert [i.chunk_start_offset + i.chunk_length for i in indexes] == ends
-        times = [index.message_end_time for index in indexes]
-        assert times == sorted(set(times))
+            summary = make_reader(stream).get_summary()
+        indexes = summary.chunk_indexes
+        assert [i.chunk_start_offset + i.chunk_length for i in indexes] == ends
+        names = {number: channel.topic for number, channel in summary.channels.items()}
         everything = messages_of(path)
-        self.until = [
-            (end, [m for m in everything if m[3] <= time])
-            for end, time in zip(ends, times, strict=True)
-        ]
+        # Topics are taken in turn: the times of two chunks may overlap.
+        complete, self.until = set(), []
+        with path.open('rb') as stream:
+            chunks = [
+                record
+                for record in StreamReader(stream, emit_chunks=True).records
+                if isinstance(record, Chunk)
+            ]
+        for end, chunk in zip(ends, chunks, strict=True):
+            inside = [r for r in breakup_chunk(chunk) if isinstance(r, Message)]
+            complete |= {(names[r.channel_id], r.sequence, r.log_time) for r in inside}
+            self.until.append((end, [m for m in everything if (m[0], *m[2:4]) in complete]))
         records = records_of(self.content)
         self.metadata_end = next(end for opcode, end in records if opcode == OPCODE_METADATA)
 
