@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,20 +34,40 @@ DEMO = config_path('demo.yaml')
 SHARED_MEMORY = Path('/dev/shm')
 
 
-def mapped_shared_memory(process: int | str) -> set[Path]:
-    """Return the files of Fast DDS that a process holds."""
+def named_shared_memory(lines: Iterable[str]) -> set[Path]:
+    """Return the segments and ports of Fast DDS that are named, each with its two locks."""
+    found = re.findall(r'/dev/shm/fastrtps_(?:port)?[0-9a-f]+', '\n'.join(lines))
+    return {
+        path
+        for name in {Path(each).name for each in found}
+        for path in (
+            SHARED_MEMORY / name,
+            SHARED_MEMORY / f'{name}_el',  # open as long as its owner lives
+            SHARED_MEMORY / f'sem.{name}_mutex',  # open only while a port is used
+        )
+    }
+
+
+def open_files(process: int | str) -> list[str]:
+    """Return what a process has open; of shared memory, the locks of what it owns."""
+    names = []
     with contextlib.suppress(OSError):
-        maps = Path(f'/proc/{process}/maps').read_text()
-        return {Path(path) for path in re.findall(r'/dev/shm/\S*fast(?:rtps|dds)\S*', maps)}
-    return set()
+        for descriptor in Path(f'/proc/{process}/fd').iterdir():
+            with contextlib.suppress(OSError):
+                names.append(str(descriptor.readlink()))
+    return names
 
 
-def in_use_by_others() -> set[Path]:
-    """Return the files of Fast DDS that any process holds now, with the locks of their ports."""
-    held = set()
-    for folder in Path('/proc').glob('[0-9]*'):
-        held |= mapped_shared_memory(folder.name)
-    return held | {SHARED_MEMORY / f'sem.{path.name}_mutex' for path in held}
+def held_shared_memory(process: int) -> set[Path]:
+    """Return what a process owns or has mapped."""
+    maps = Path(f'/proc/{process}/maps').read_text().splitlines()
+    return named_shared_memory(maps + open_files(process))
+
+
+def owned_shared_memory() -> set[Path]:
+    """Return what has a living owner; who has talked to a dead one keeps its memory mapped."""
+    processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
+    return named_shared_memory([name for each in processes for name in open_files(each)])
 
 
 @dataclass
@@ -96,12 +117,11 @@ class Domain:
 
     def kill(self, process: subprocess.Popen) -> None:
         """Kill a process, and remember the shared memory that it can't remove any more."""
-        held = mapped_shared_memory(process.pid)
-        # The lock of a port is mapped only while it is used.
-        locks = {SHARED_MEMORY / f'sem.{path.name}_mutex' for path in held if '_port' in path.name}
-        self.left_behind |= held | locks
+        with contextlib.suppress(OSError):  # it has ended by itself
+            self.left_behind |= held_shared_memory(process.pid)
         process.kill()
-        process.communicate()
+        process.wait()
+        process.stdout.close()
 
     def stop(self, process: subprocess.Popen) -> tuple[int, str]:
         if process.poll() is None:
@@ -129,10 +149,8 @@ def domain():
         for process in domain.processes:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(10)
-            process.kill()
-            process.wait()
-            process.stdout.close()
-        for path in domain.left_behind - in_use_by_others():
+            domain.kill(process)
+        for path in domain.left_behind - owned_shared_memory():
             path.unlink(missing_ok=True)
 
 
