@@ -3,9 +3,11 @@
 #   make demo ARGS='--duration 2'       arguments for the launcher
 #   make test ARGS='test/bag -k writer' arguments for pytest, instead of all tests
 #   make demo PYTHON=python3.12         another Python, 3.10 to 3.13
+#   make test ROS=kilted                another distribution of ROS 2, in .venv-kilted
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cu130   another build of torch
 
-VENV := .venv
+ROS ?= jazzy
+VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
 BIN := $(VENV)/bin
 ARGS ?=
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -18,9 +20,11 @@ PYTHON ?= $(shell for python in python3.11 python3.12 python3.13 python3 python3
 	if $$python -c '$(FITS)' 2>/dev/null; then echo $$python; break; fi; done)
 
 VENV_OPTIONS :=
-CONSTRAINTS := -c constraints.txt
-DEMO_EXTRAS := [ros]
-TEST_EXTRAS := [ros,test]
+CONSTRAINTS_FILES := constraints.txt constraints-$(ROS).txt
+CONSTRAINTS := $(CONSTRAINTS_FILES:%=-c %)
+ROS_EXTRA := ros$(if $(filter-out jazzy,$(ROS)),-$(ROS))
+DEMO_EXTRAS := [$(ROS_EXTRA)]
+TEST_EXTRAS := [$(ROS_EXTRA),test]
 
 # With a sourced ROS installation rclpy comes from there, and so do the numpy and the Python that it
 # was built with: no wheels of ROS then, and no constraints, which name another numpy.
@@ -46,7 +50,7 @@ help:
 	@echo 'make test   run linters, type checks and all tests'
 	@echo 'make test-long   run the tests that are too long for every change'
 	@echo 'make venv   only install, into $(VENV)'
-	@echo 'make clean  remove $(VENV) and what the tools left (runs/ stays)'
+	@echo 'make clean  remove .venv* and what the tools left (runs/ stays)'
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/launcher --config config/demo.yaml $(ARGS)
@@ -63,7 +67,7 @@ test-long: $(VENV)/test.stamp
 venv: $(VENV)/test.stamp
 
 clean:
-	rm -rf $(VENV) build dist install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-* build dist install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find dpc_ros test -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/pyvenv.cfg:
@@ -79,7 +83,7 @@ $(VENV)/pyvenv.cfg:
 
 # The build backend, and torch's CPU build where its index can be reached; else torch comes with the
 # rest, from wherever pip finds it.
-$(VENV)/base.stamp: $(VENV)/pyvenv.cfg constraints.txt
+$(VENV)/base.stamp: $(VENV)/pyvenv.cfg $(CONSTRAINTS_FILES)
 	@echo 'Installing torch …'
 	@$(PIP_INSTALL) 'setuptools<80'
 	@$(PIP_INSTALL) --no-deps --retries 0 --extra-index-url $(TORCH_INDEX) torch || true

@@ -16,6 +16,15 @@ NODES = (
 )
 
 
+def wheels_of_ros(distribution):
+    """List what the nodes and their tests need of ROS 2, where none is sourced."""
+    names = ('rclpy', 'common-interfaces', 'lifecycle-msgs', 'rmw-fastrtps-cpp', 'rosgraph-msgs')
+    return [
+        *(f'ros-{distribution}-{name}' for name in names),
+        'ros-domain-coordinator',  # of the tests; here as every wheel of ROS
+    ]
+
+
 def share_files():
     """List every file of config/ with the folder below share/ that it installs to."""
     share = Path('share') / PACKAGE
@@ -58,14 +67,8 @@ setup(
         'zstandard',
     ],
     extras_require={
-        'ros': [
-            'ros-jazzy-rclpy',
-            'ros-jazzy-common-interfaces',
-            'ros-jazzy-domain-coordinator',  # of the tests; here as every wheel of ROS
-            'ros-jazzy-lifecycle-msgs',
-            'ros-jazzy-rmw-fastrtps-cpp',
-            'ros-jazzy-rosgraph-msgs',
-        ],
+        'ros': wheels_of_ros('jazzy'),
+        'ros-kilted': wheels_of_ros('kilted'),
         'parquet': ['pyarrow'],
         'selection': ['ray[tune]'],
         'test': [
