@@ -2,6 +2,7 @@
 #
 #   make demo ARGS='--duration 2'       arguments for the launcher
 #   make test ARGS='test/bag -k writer' arguments for pytest, instead of all tests
+#   make test WORKERS=                  one test at a time, its output as it comes with ARGS=-s
 #   make demo PYTHON=python3.12         another Python, 3.10 to 3.13
 #   make test ROS=kilted                another distribution of ROS 2, in .venv-kilted
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cu130   another build of torch
@@ -10,6 +11,7 @@ ROS ?= jazzy
 VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
 BIN := $(VENV)/bin
 ARGS ?=
+WORKERS ?= --numprocesses 2 --dist loadfile
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 # The nodes of this machine only; the default of ROS announces them to the subnet.
@@ -59,7 +61,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest $(ARGS)
+	$(BIN)/pytest $(WORKERS) $(ARGS)
 
 test-long: $(VENV)/test.stamp
 	$(BIN)/pytest -m long $(ARGS)

@@ -82,6 +82,7 @@ setup(
             'pyarrow',
             'pytest',
             'pytest-timeout',
+            'pytest-xdist',
             'ray[tune]',
             'rosbags',
             'ruff',

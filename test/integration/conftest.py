@@ -36,7 +36,7 @@ SHARED_MEMORY = Path('/dev/shm')
 
 def named_shared_memory(lines: Iterable[str]) -> set[Path]:
     """Return the segments and ports of Fast DDS that are named, each with its two locks."""
-    found = re.findall(r'/dev/shm/fastrtps_(?:port)?[0-9a-f]+', '\n'.join(lines))
+    found = re.findall(r'/dev/shm/fast(?:rtps|dds)_(?:port)?[0-9a-f]+', '\n'.join(lines))
     return {
         path
         for name in {Path(each).name for each in found}
