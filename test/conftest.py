@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import signal
+import statistics
 import struct
 import subprocess
 import sys
@@ -53,6 +54,7 @@ from dpc_ros.network import (  # noqa: E402
 )
 from dpc_ros.reduction import CompressedSystem  # noqa: E402
 from dpc_ros.resources import share_directory  # noqa: E402
+from dpc_ros.results import write_results  # noqa: E402
 
 # A shell ignores SIGINT for what it starts in the background, and so would the tests' processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -64,6 +66,57 @@ hypothesis.settings.load_profile('dpc_ros')
 READER_IN_NODE = Path(__file__).parent / 'bag' / 'reader_in_node'
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
+_PROMISES = pytest.StashKey[list]()
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup('faults', 'Tests of faults')
+    group.addoption('--repetitions', type=int, default=1, help='how often each fault is put in')
+    group.addoption('--fault-results', type=Path, help='file to write what was measured to')
+
+
+def pytest_configure(config):
+    config.stash[_PROMISES] = []
+
+
+def pytest_sessionfinish(session, exitstatus):
+    path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
+    if path and exitstatus == 0:
+        write_results(path, rows)
+
+
+@pytest.fixture
+def repetitions(request):
+    return request.config.getoption('--repetitions')
+
+
+@pytest.fixture
+def kept_promise(request):
+    """Return a function: notes a promise that held in every repetition, and the times measured."""
+
+    def note(fault, promise, mode, repetitions, reaction=(), recovery=()):
+        request.config.stash[_PROMISES].append(
+            {
+                'fault': fault,
+                'promise': promise,
+                'mode': mode,
+                'test': request.node.name,
+                'repetitions': repetitions,
+                **_summary('reaction', reaction),
+                **_summary('recovery', recovery),
+            }
+        )
+
+    return note
+
+
+def _summary(name, seconds):
+    if not seconds:
+        return {}
+    return {
+        f'{name}_median_ms': 1e3 * statistics.median(seconds),
+        f'{name}_max_ms': 1e3 * max(seconds),
+    }
 
 
 def make_grid(rows, columns, seed=None, name='grid'):

@@ -1,0 +1,190 @@
+"""A node that dies or hangs: the body is left alone, and the loop goes on when the node does."""
+
+from itertools import pairwise
+from time import monotonic
+
+import numpy as np
+import pytest
+
+from dpc_ros.nodes.launch_plan import LOOP
+
+TIMEOUT = 0.1  # s, after which a force is stale
+# What the timer's grid has in the time-out, with one tick that was late before it, and one within.
+FORCED_STEPS = round(TIMEOUT * 200) + 2
+
+
+def epochs(states):
+    """Return the states of each simulator, in order, those published twice once."""
+    found = [[]]
+    for state in states:
+        if found[-1] and state[0] < found[-1][-1][0]:
+            found.append([])
+        if not found[-1] or state[0] > found[-1][-1][0]:
+            found[-1].append(state)
+    return found
+
+
+@pytest.fixture
+def assert_repeats_states(in_process):
+    """Assert that states are the first ones of the closed loop in one process, bit for bit."""
+
+    def check(states):
+        expected = in_process(steps=len(states) - 1)
+        assert [stamp for stamp, *_ in states] == [5_000_000 * k for k in range(len(states))]
+        found = np.array([configuration for _, configuration, *_ in states])
+        np.testing.assert_array_equal(found, expected.configuration)
+
+    return check
+
+
+def time_of_freedom(loop, moved_by):
+    """Wait until the body moves freely; return when, and in how many steps the last force acted."""
+    nothing = np.zeros(2)
+
+    def last_force():
+        return next(each for each in reversed(loop.forces) if each[1].any())
+
+    def steps(force):
+        """Return the states after steps under a force, since the state that the last answered."""
+        states = [state for state in loop.states if state[0] >= last_force()[0]]
+        return [after for before, after in pairwise(states) if moved_by(force, before, after)]
+
+    loop.observer.wait(lambda: steps(nothing), 'a step without force')
+    free, forced = steps(nothing), steps(last_force()[1])
+    assert not forced or forced[-1][0] < free[0][0]
+    return free[0][3], len(forced)
+
+
+@pytest.mark.parametrize('kind', ['encoder', 'controller'])
+def test_lockstep_waits_for_a_killed_node(
+    loop, kind, assert_repeats_states, repetitions, kept_promise
+):
+    running = loop('lockstep')
+    recovery = []
+    for _ in range(repetitions):
+        running.kill(kind)
+        killed = monotonic()
+        running.start(kind)
+        recovery.append(running.go_on(40) - killed)
+    running.stop()
+    (states,) = epochs(running.states)
+    assert_repeats_states(states)
+    kept_promise(
+        f'{kind} killed (`kill -9`) and started anew',
+        'the body waits, then goes on bit for bit as if nothing had happened',
+        'lockstep',
+        repetitions,
+        recovery=recovery,
+    )
+
+
+def test_lockstep_begins_anew_with_a_killed_simulator(
+    loop, assert_repeats_states, repetitions, kept_promise
+):
+    running = loop('lockstep')
+    recovery = []
+    for _ in range(repetitions):
+        running.kill('simulator')
+        killed = monotonic()
+        running.start('simulator')
+        recovery.append(running.go_on(40) - killed)
+    running.stop()
+    found = epochs(running.states)
+    assert len(found) == repetitions + 1
+    for states in found:
+        assert_repeats_states(states)
+    kept_promise(
+        'simulator killed (`kill -9`) and started anew',
+        'the body begins at rest, and every run is bit for bit the first one',
+        'lockstep',
+        repetitions,
+        recovery=recovery,
+    )
+
+
+@pytest.mark.parametrize('kind', ['encoder', 'controller'])
+@pytest.mark.parametrize('fault', ['killed', 'stopped'])
+def test_a_body_whose_brain_is_gone_is_left_alone(
+    loop, kind, fault, moved_by, repetitions, kept_promise
+):
+    running = loop('realtime', simulator={'force_timeout': TIMEOUT})
+    reaction, recovery = [], []
+    for _ in range(repetitions):
+        (running.kill if fault == 'killed' else running.pause)(kind)
+        failed = monotonic()
+        free, forced_steps = time_of_freedom(running, moved_by)
+        assert forced_steps <= FORCED_STEPS
+        reaction.append(free - failed)
+        if fault == 'stopped':
+            running.wait_for_states(400)
+        began = monotonic()
+        (running.start if fault == 'killed' else running.unpause)(kind)
+        recovery.append(running.go_on(40) - began)
+    assert all(np.isfinite(state[1]).all() for state in running.states)
+    running.stop()
+    how = 'killed (`kill -9`) and started anew' if fault == 'killed' else 'stopped for 2 s'
+    kept_promise(
+        f'{kind} {how}',
+        f'the last force acts for {FORCED_STEPS} steps at most, then none; control resumes',
+        'realtime',
+        repetitions,
+        reaction,
+        recovery,
+    )
+
+
+@pytest.mark.parametrize('kind', LOOP)
+def test_lockstep_waits_for_a_stopped_node(
+    loop, kind, assert_repeats_states, repetitions, kept_promise, passed
+):
+    running = loop('lockstep')
+    recovery = []
+    for _ in range(repetitions):
+        running.pause(kind)
+        passed(2.0)
+        running.unpause(kind)
+        began = monotonic()
+        recovery.append(running.go_on(40) - began)
+    running.stop()
+    (states,) = epochs(running.states)
+    assert_repeats_states(states)
+    kept_promise(
+        f'{kind} stopped for 2 s (`SIGSTOP`)',
+        'the body waits, then goes on bit for bit as if nothing had happened',
+        'lockstep',
+        repetitions,
+        recovery=recovery,
+    )
+
+
+@pytest.mark.parametrize('fault', ['killed', 'stopped'])
+def test_control_goes_on_with_the_simulator(loop, fault, repetitions, kept_promise, passed):
+    running = loop('realtime', simulator={'force_timeout': TIMEOUT})
+    recovery = []
+    for _ in range(repetitions):
+        if fault == 'killed':
+            running.kill('simulator')
+            began = monotonic()
+            running.start('simulator')
+        else:
+            running.pause('simulator')
+            passed(2.0)
+            running.unpause('simulator')
+            began = monotonic()
+        recovery.append(running.go_on(40) - began)
+    found = epochs(running.states)
+    assert len(found) == (repetitions + 1 if fault == 'killed' else 1)
+    for states in found:
+        # Steps are neither left out nor made up for in a burst of stamps.
+        assert {b[0] - a[0] for a, b in pairwise(states)} == {5_000_000}
+        assert all(np.isfinite(state[1]).all() for state in states)
+    running.stop()
+    how = 'killed (`kill -9`) and started anew' if fault == 'killed' else 'stopped for 2 s'
+    promise = 'the body begins at rest' if fault == 'killed' else 'the body goes on where it was'
+    kept_promise(
+        f'simulator {how}',
+        f'{promise}; control resumes',
+        'realtime',
+        repetitions,
+        recovery=recovery,
+    )
