@@ -29,22 +29,28 @@ class _Listener(Node):
     def __init__(self, namespace: str, context: Context) -> None:
         super().__init__(f'top_{os.getpid()}', context=context, start_parameter_services=False)
         self.reports = Reports(namespace)
-        self.first_heard: float | None = None
+        self.has_heard = False
+        self._known = (0, 0.0)  # so many nodes, since this time [s]
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, _DEPTH)
 
     def is_done(self, latest: float) -> bool:
-        """Return whether it has listened for a period and every node has spoken or is silent.
+        """Return whether every node has spoken or is silent, and for a period none was new.
 
         Args:
             latest: time at which it stops waiting for the first [s].
         """
         now = time.monotonic()
-        if self.first_heard is None:
+        if not self.has_heard:
             return now > latest
         self._look(now)
         reports = self.reports.newest(now)
-        spoken = all(each.values or each.is_silent(now) for each in reports)
-        return spoken and now - self.first_heard >= _PERIOD
+        count, since = self._known
+        if len(reports) > count:
+            self._known = (len(reports), now)
+            return False
+        return now - since >= _PERIOD and all(
+            each.values or each.is_silent(now) for each in reports
+        )
 
     def table(self) -> str:
         """Return what is known now."""
@@ -61,8 +67,7 @@ class _Listener(Node):
     def _take(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            if self.reports.take(status, now) and self.first_heard is None:
-                self.first_heard = now
+            self.has_heard |= self.reports.take(status, now)
 
 
 def show(namespace: str, domain: int | None, once: bool, timeout: float) -> int:
@@ -101,7 +106,7 @@ def show(namespace: str, domain: int | None, once: bool, timeout: float) -> int:
 
 
 def _show_once(listener: _Listener) -> int:
-    if listener.first_heard is None:
+    if not listener.has_heard:
         domain = listener.context.get_domain_id()
         print(
             f'error: no node reports on {DIAGNOSTICS} of domain {domain}: are nodes running there, '

@@ -65,6 +65,17 @@ def dpc_top(domain, *arguments):
     return [sys.executable, '-m', 'dpc_ros.cli', 'top', '--domain', str(domain.number), *arguments]
 
 
+def run_top(domain, *arguments):
+    return subprocess.run(
+        dpc_top(domain, *arguments),
+        env=domain.environment,
+        capture_output=True,
+        text=True,
+        timeout=GIVE_UP,
+        check=False,
+    )
+
+
 def assert_ordered(values, what):
     p50, p99, largest = (float(values[f'{what} {which} [ms]']) for which in ('p50', 'p99', 'max'))
     assert p50 <= p99 <= largest, what
@@ -144,19 +155,16 @@ def test_dpc_top_shows_each_node_and_who_hangs(domain, observer, listener, start
     nodes = start('lockstep')
     for kind in nodes:
         listener.wait(kind, lambda values: float(values['rate [Hz]']) > 0, 'a rate')
-    run = subprocess.run(
-        dpc_top(domain, '--once'),
-        env=domain.environment,
-        capture_output=True,
-        text=True,
-        timeout=GIVE_UP,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.replace('\n', '').isprintable()
-    rows = [tuple(line.split()[:2]) for line in run.stdout.splitlines() if line.startswith('/')]
-    assert rows[: len(nodes)] == [(f'/{kind}', 'active') for kind in sorted(nodes)]
 
+    def shows_all():
+        run = run_top(domain, '--once')
+        assert run.returncode == 0, run.stderr
+        assert run.stdout.replace('\n', '').isprintable()
+        lines = run.stdout.partition('\n\n')[0].splitlines()
+        rows = [line.split()[:2] for line in lines if line.startswith('/')]
+        return rows == [[f'/{kind}', 'active'] for kind in sorted(nodes)]
+
+    observer.wait(shows_all, 'a table with all nodes')
     terminal, its_end = os.openpty()
     top = subprocess.Popen(dpc_top(domain), env=domain.environment, stdout=its_end, stderr=its_end)
     os.close(its_end)
@@ -186,19 +194,12 @@ def test_dpc_top_shows_each_node_and_who_hangs(domain, observer, listener, start
 
 
 def test_dpc_top_says_where_nobody_reports(domain):
-    run = subprocess.run(
-        dpc_top(domain, '--once', '--timeout', '0.2'),
-        env=domain.environment,
-        capture_output=True,
-        text=True,
-        timeout=GIVE_UP,
-        check=False,
-    )
+    run = run_top(domain, '--once', '--timeout', '0.2')
     assert (run.returncode, run.stdout) == (1, '')
     assert f'domain {domain.number}' in run.stderr
 
 
-def test_a_flood_of_bad_messages_is_counted_and_floods_neither_report_nor_log(
+def test_a_flood_of_bad_messages_is_counted_and_a_failure_is_the_last_report(
     domain, observer, listener, plan
 ):
     made = plan(record=False, simulator={'expected_subscribers': []})
@@ -215,6 +216,16 @@ def test_a_flood_of_bad_messages_is_counted_and_floods_neither_report_nor_log(
     assert len(counts) == 21
     assert sum(counts.values()) == number
     assert listener.statuses['simulator'].level == DiagnosticStatus.WARN
-    code, output = domain.stop(simulator)
-    assert code == 0, output
+    forces = observer.node.create_publisher(WrenchStamped, 'control_force', LOOP_QOS)
+    observer.wait(lambda: forces.get_subscription_count() > 0, 'the simulator')
+    forces.publish(force_message(to_stamp(0), 162, np.array([1e300, 0.0])))
+    observer.wait(lambda: simulator.poll() is not None, 'the end of the simulator')
+    output = simulator.stdout.read()
+    assert simulator.returncode == 1
     assert 0 < output.count('rejected a message') < number / 4
+
+    def has_failed():
+        return listener.statuses['simulator'].level == DiagnosticStatus.ERROR
+
+    observer.wait(has_failed, 'the last report')
+    assert f'error: simulator: {listener.statuses["simulator"].message}' in output
