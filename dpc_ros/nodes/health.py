@@ -16,6 +16,7 @@ from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.window import RoundTrips, Window, jitter, percentiles
 
 DIAGNOSTICS = '/diagnostics'  # topic
+PROCESS_READING = 'process id'
 NO_WATCHDOG = 'none'
 WATCHDOG_OK = 'ok'
 _MOST_REASONS = 20
@@ -161,7 +162,7 @@ class Health:
         """
         values = {
             'state': state,
-            'process id': os.getpid(),
+            PROCESS_READING: os.getpid(),
             'uptime [s]': f'{time.monotonic() - self._started:.1f}',
             'peak memory [MiB]': f'{_peak_memory():.1f}',
             'watchdog': self.watchdog,

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from dpc_ros.nodes.health import PROCESS_READING
+
 LONGEST_SILENCE = 3.0  # s after which a node that reports once a second is taken for dead
-_KEYS = {'state', 'process id', 'rate [Hz]', 'watchdog'}  # by which a report of ours is known
+_KEYS = {'state', PROCESS_READING, 'rate [Hz]', 'watchdog'}  # by which a report of ours is known
 _MOST_NODES = 100
 
 
@@ -57,7 +59,7 @@ class Reports:
         if not node.startswith(self._prefix):
             return False
         problem = '' if status.level == DiagnosticStatus.OK else status.message
-        self._reports[node, values['process id']] = Report(node, now, values, problem)
+        self._reports[node, values[PROCESS_READING]] = Report(node, now, values, problem)
         if len(self._reports) > _MOST_NODES:
             del self._reports[min(self._reports, key=lambda key: self._reports[key].time)]
         return True
