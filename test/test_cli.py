@@ -25,6 +25,7 @@ COMMANDS = [
     'reduce',
     'reach',
     'paper',
+    'top',
     'bag',
 ]
 BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'rerun']
@@ -138,6 +139,7 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['reach', 'paper_2', '--target', 'rest', '--mass', '1000'], 'mass 1000'),
         (['reach', 'paper_2', '--target', 'rest', '--starts', '0'], 'starts: expected at least 2'),
         (['paper', 'nothing'], "no experiment 'nothing'"),
+        (['top', '--domain', '300'], '--domain: expected 0 to 232, got 300'),
         (['bag', 'converge', 'nothing'], 'nothing'),
         (['bag', 'info', 'nothing'], 'nothing: expected the folder of a bag'),
         (['bag', 'info', 'bad.mcap'], '`dpc bag repair` saves what can be read'),

@@ -32,6 +32,10 @@ class ControllerNode(LoopNode):
         self._controller = OnlineController(settings)
         self._network = self._controller.network
         self._identifier = self._controller.checkpoint.identifier
+        self.health.readings |= {
+            'network': self._network.identifier,
+            'checkpoint': self._identifier,
+        }
         self._names = latent_names(self._controller.law.system.latent_size)
         self._mass = settings['actuated_mass']
         self._answers = Answers()

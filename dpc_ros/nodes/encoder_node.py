@@ -43,6 +43,10 @@ class EncoderNode(LoopNode):
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
+        self.health.readings |= {
+            'network': network.identifier,
+            'checkpoint': checkpoint.identifier,
+        }
         self._names = latent_names(self._encoder.autoencoder.latent_size)
         self._answers = Answers()
         self._begin_anew()

@@ -22,7 +22,7 @@ from rclpy.subscription import Subscription
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
+from dpc_ros.nodes.health import DIAGNOSTICS, Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
 from dpc_ros.nodes.stop import StopRequest
@@ -34,6 +34,8 @@ _DIAGNOSTIC_PERIOD = 1.0  # s
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
 _SPIN_PERIOD = 0.1  # s, within which a Ctrl-C is seen
 _REPORT_INTERVAL = 5.0  # s between two log lines about the same
+_MOST_LINES = 20  # about messages on one topic in that time
+_LONGEST_LINE = 300  # characters of what a message may have put into it
 
 
 class LoopNode(LifecycleNode):
@@ -68,10 +70,10 @@ class LoopNode(LifecycleNode):
         self._outputs: list[Publisher] = []
         self._inputs: list[Subscription] = []
         self._matched = False
-        self._said: dict[str, float] = {}
+        self._said: dict[tuple[str, str], float] = {}  # time [s] by source and line
         self._sequences: defaultdict[str, SequenceCounter] = defaultdict(SequenceCounter)
         self._starting = False
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
 
     def configure(self) -> None:
@@ -111,6 +113,7 @@ class LoopNode(LifecycleNode):
         return self._transition(self.configure)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.health.restart()
         result = self._transition(self.activate)
         self.active = result == TransitionCallbackReturn.SUCCESS
         return result
@@ -157,7 +160,7 @@ class LoopNode(LifecycleNode):
         Numbers of several publishers can't be told apart: then nothing is counted as lost, but
         that there are several is said.
         """
-        self.health.received += 1
+        self.health.arrived(info)
         gap = self._sequences[topic].gap(info['publication_sequence_number'])
         if gap and self.count_publishers(topic) > 1:
             self.health.warning = f'{topic} has several publishers'
@@ -213,19 +216,30 @@ class LoopNode(LifecycleNode):
     def publish(self, publisher: Publisher, message: Any) -> None:
         """Publish and count."""
         publisher.publish(message)
-        self.health.published += 1
+        self.health.sent()
 
     def reject(self, topic: str, error: MessageError) -> None:
         """Note a message that can't be used, and go on."""
         self.health.rejected[f'{topic}: {error}'] += 1
-        self.say(f'rejected a message on {topic}: {error}', problem=True)
+        text = f'rejected a message on {topic}: {error}'
+        self.say(text[:_LONGEST_LINE], problem=True, source=topic)
 
-    def say(self, text: str, problem: bool = False) -> None:
-        """Log a line, the same one only every few seconds."""
+    def say(self, text: str, problem: bool = False, source: str = '') -> None:
+        """Log a line, the same one only every few seconds.
+
+        Args:
+            text: the line.
+            problem: whether it is an error.
+            source: whose different lines are to be no flood, where others make them up.
+        """
         now = self._steady_clock.now().nanoseconds / NANOSECONDS
-        if now - self._said.get(text, -_REPORT_INTERVAL) < _REPORT_INTERVAL:
+        self._said = {
+            line: time for line, time in self._said.items() if now - time < _REPORT_INTERVAL
+        }
+        same_source = sum(1 for known, _ in self._said if known == source)
+        if (source, text) in self._said or (source and same_source >= _MOST_LINES):
             return
-        self._said[text] = now
+        self._said[source, text] = now
         if problem:
             self.get_logger().error(text)
         else:
@@ -235,6 +249,8 @@ class LoopNode(LifecycleNode):
         """Give up: the process ends with the reason and exit code 1."""
         self.failure = reason
         self.active = False
+        if self.context.ok():
+            self._report()
 
     def wait_until_acknowledged(self) -> None:
         """Block until every matched subscription has what was published."""
@@ -272,11 +288,14 @@ class LoopNode(LifecycleNode):
         self._outputs.clear()
         self._inputs.clear()
         self._sequences.clear()
+        self.health.readings.clear()
         self._matched = False
 
     def _report(self) -> None:
-        state = 'active' if self.active else 'inactive'
-        status = self.health.report(self.get_name(), self.get_fully_qualified_name(), state)
+        _, state = self._state_machine.current_state
+        status = self.health.report(
+            self.get_name(), self.get_fully_qualified_name(), state, self.failure
+        )
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().to_msg(), status))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Iterator
 from typing import TypeVar
 
@@ -74,6 +75,7 @@ class PlayerNode(LoopNode):
             settings['duration'],
         )
         self._excerpt.span_ns()  # a start behind the end is refused now
+        self.health.readings['bag'] = settings['bag']
         if settings['publish_clock'] and settings['clock_source'] == 'stamp':
             self._require(self._configuration, topics, 'clock_source is stamp')
         self._clock_publisher = (
@@ -222,7 +224,9 @@ class PlayerNode(LoopNode):
                 self._clock_publisher.publish(
                     ClockMessage(clock=to_stamp(stamp_of_header(message)))
                 )
+        begin = time.perf_counter()
         self.publish(self._players[message.topic], message.cdr)
+        self.health.processed(time.perf_counter() - begin)
 
     def _advance(self) -> None:
         """Publish the next configuration, and before it what counts for its force."""
@@ -240,6 +244,7 @@ class PlayerNode(LoopNode):
         self._play_state(step)
 
     def _play_state(self, step: Step) -> None:
+        self.health.round_trips.sent(step.stamp)
         self._play(step.configuration)
         self._published_at = self._now()
 
@@ -247,6 +252,7 @@ class PlayerNode(LoopNode):
         if not self.receive('control_force', info):
             return
         stamp = from_stamp(message.header.stamp)
+        self.health.round_trips.answered(stamp)
         if self._step is None or self._answered or stamp != self._step.stamp:
             self.health.repeated += 1  # the answer to a state that was published twice
             return

@@ -120,6 +120,7 @@ class RecorderNode(LoopNode):
             self._writer.add_metadata(PARAMETERS_RECORD, {'yaml': parameters})
             for section in sections.values():
                 self._attach(section)
+        self.health.readings |= {'bag': str(self._writer.folder), 'recorded [bytes]': 0}
         self._questions = NodeParameters(self, self._keep_parameters)
         self.get_logger().info(f'recording to {self._writer.folder}')
 
@@ -236,12 +237,12 @@ class RecorderNode(LoopNode):
             return
         number = info['publication_sequence_number']
         gap = self._sequences[name].gap(number, partial(self.count_publishers, name))
-        self.health.received += 1
+        self.health.arrived(info)
         self.health.lost[name] += gap
         writer = self._writer
         if not self.active or writer is None or self._recorded[name].has_heard(info):
             return
-        self._last_message = time.monotonic()
+        begin = self._last_message = time.monotonic()
         with self._writing(writer):
             if not self._recorded[name].is_in_bag:
                 self._introduce(writer, name, data)
@@ -254,6 +255,9 @@ class RecorderNode(LoopNode):
                 publish_time_ns=info['source_timestamp'],
                 sequence=number,
             )
+            self.health.published += 1
+            self.health.readings['recorded [bytes]'] += len(data)
+        self.health.processed(time.monotonic() - begin)
 
     def _is_too_late(self, info: dict[str, int], end_ns: int) -> bool:
         """Return whether a message was published after the end.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -17,6 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import LONGEST_GAP
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
+from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
 
@@ -48,7 +50,7 @@ class SimulatorNode(LoopNode):
         self._body = Body(integrator, settings['actuated_mass'])
         self._body.advance(np.zeros(2))  # compiles the kernels
         self._body.reset()
-        self._identifier = network.identifier
+        self._identifier = self.health.readings['network'] = network.identifier
         self._names = network.coordinate_names if settings['publish_names'] else []
         self._last_step = math.ceil(settings['duration'] * NANOSECONDS / self._step_ns)
         self._realtime = settings['time_mode'] == 'realtime'
@@ -86,6 +88,7 @@ class SimulatorNode(LoopNode):
                 self.destroy_timer(timer)
         self._watchdog = self._stepper = None
         self._running = False
+        self.health.watchdog = NO_WATCHDOG
 
     def clean_up(self) -> None:
         self.deactivate()
@@ -116,6 +119,7 @@ class SimulatorNode(LoopNode):
         if stamp > self._awaited:
             self.reject('control_force', MessageError('its stamp is that of no state so far'))
             return
+        self.health.round_trips.answered(stamp)
         if stamp == self._awaited and not self._answered:
             self._answered = True
         elif not self._realtime or stamp < self._reset_at:
@@ -142,14 +146,15 @@ class SimulatorNode(LoopNode):
             return
         if self._now() - self._answered_at > self.settings['force_timeout']:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
-            self.health.warning = 'control_force is stale'
+            self.health.watchdog = 'control_force is stale'
             if self.settings['stale_force'] == 'zero':
                 self._force = np.zeros(2)
         else:
-            self.health.warning = ''
+            self.health.watchdog = WATCHDOG_OK
         self._advance()
 
     def _advance(self) -> None:
+        begin = time.perf_counter()
         self._running = True
         self._pushes = {m: push for m, push in self._pushes.items() if push[0] > self._awaited}
         self._body.advance(self._force, {mass: push for mass, (_, push) in self._pushes.items()})
@@ -162,6 +167,7 @@ class SimulatorNode(LoopNode):
         self._step += 1
         self._answered = False
         self._publish_state()
+        self.health.processed(time.perf_counter() - begin)
 
     def _publish_state(self) -> None:
         if not self.matched(self._configuration):
@@ -169,6 +175,7 @@ class SimulatorNode(LoopNode):
         stamp = to_stamp(self._awaited)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMessage(clock=stamp))
+        self.health.round_trips.sent(self._awaited)
         self.publish(
             self._configuration,
             state_message(

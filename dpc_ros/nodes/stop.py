@@ -22,12 +22,17 @@ class StopRequest:
     rclpy's own handlers shut the context down at once, which would lose what is still on its way.
     A process that the launcher started (`PARENT_VARIABLE`) stops, too, when the launcher is gone.
 
+    Args:
+        arguments: for rclpy; where none are given, those of the process.
+        domain: of DDS; where none is given, that of the environment.
+
     Raises:
         ValueError: on entering, for arguments that rclpy can't read, or that are not for it.
     """
 
-    def __init__(self, arguments: list[str] | None = None) -> None:
+    def __init__(self, arguments: list[str] | None = None, domain: int | None = None) -> None:
         self.context = Context()
+        self._domain = domain
         self._arguments = sys.argv[1:] if arguments is None else arguments
         self._asked = False
         self._parent = os.environ.get(PARENT_VARIABLE)
@@ -43,6 +48,7 @@ class StopRequest:
             rclpy.init(
                 args=self._arguments,
                 context=self.context,
+                domain_id=self._domain,
                 signal_handler_options=SignalHandlerOptions.NO,
             )
         except RuntimeError as error:  # the base of what rclpy raises for bad arguments
