@@ -1,0 +1,241 @@
+"""Nodes through their lifecycle, and the launcher that starts, watches and ends them."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from sensor_msgs.msg import JointState
+
+from dpc_ros.bag import read_run
+from dpc_ros.nodes.messages import from_stamp
+from dpc_ros.nodes.topics import LOOP_QOS
+from dpc_ros.resources import config_path
+
+GIVE_UP = 120.0  # s after which a test stops waiting
+LOOP = ('simulator', 'encoder', 'controller')
+NODES = ('recorder', *LOOP)
+CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
+DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
+COMMON_SERVICES = (
+    *('change_state', 'get_state', 'get_available_states', 'get_available_transitions'),
+    *('get_transition_graph', 'describe_parameters', 'get_parameter_types', 'get_parameters'),
+    *('list_parameters', 'set_parameters', 'set_parameters_atomically', 'get_type_description'),
+)
+
+
+class Lifecycle:
+    """The lifecycle services of nodes, as `ros2 lifecycle` calls them."""
+
+    def __init__(self, observer, *names):
+        self.observer = observer
+        self.changes = {
+            n: observer.node.create_client(ChangeState, f'{n}/change_state') for n in names
+        }
+        self.states = {n: observer.node.create_client(GetState, f'{n}/get_state') for n in names}
+        clients = [*self.changes.values(), *self.states.values()]
+        observer.wait(
+            lambda: all(each.service_is_ready() for each in clients), 'lifecycle services'
+        )
+
+    def call(self, client, request):
+        called = client.call_async(request)
+        self.observer.wait(called.done, 'an answer')
+        return called.result()
+
+    def change(self, name, transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(self.changes[name], request).success
+
+    def change_all(self, transition):
+        for name in self.changes:
+            assert self.change(name, transition), f'{name}: {transition}'
+
+    def state(self, name):
+        return self.call(self.states[name], GetState.Request()).current_state.label
+
+    def go_round(self, stamps):
+        """Configure, run, hold, run on, and let go of everything."""
+        self.change_all(CONFIGURE)
+        self.change_all(ACTIVATE)
+        advance(self.observer, stamps)
+        self.change_all(DEACTIVATE)
+        newest = stamps[-1]
+        self.change_all(ACTIVATE)
+        self.observer.wait(lambda: stamps[-1] > newest, 'the motion to go on')
+        self.change_all(DEACTIVATE)
+        self.change_all(CLEANUP)
+        for name in self.changes:
+            self.observer.wait(
+                lambda: not configured_part(self.observer, name),  # noqa: B023
+                f'{name} to have let go of its topics',
+            )
+
+
+def held_by(process):
+    """Return what a process holds: its threads, and its open files without what they stand for."""
+    folder = Path(f'/proc/{process.pid}')
+    return len([*folder.joinpath('task').iterdir()]), len([*folder.joinpath('fd').iterdir()])
+
+
+def configured_part(observer, name):
+    """Return the topics and services that a node has beside those of every node."""
+    node = observer.node
+    found = [
+        *node.get_publisher_names_and_types_by_node(name, '/'),
+        *node.get_subscriber_names_and_types_by_node(name, '/'),
+        *node.get_service_names_and_types_by_node(name, '/'),
+    ]
+    common = {'/diagnostics', '/parameter_events', '/rosout', f'/{name}/transition_event'}
+    common |= {f'/{name}/{service}' for service in COMMON_SERVICES}
+    return {topic for topic, _ in found} - common
+
+
+def advance(observer, stamps, steps=20):
+    """Wait until the newest motion has gone on by some steps."""
+    begin = len(stamps)
+    observer.wait(lambda: len(set(stamps[begin:])) > steps, 'a running loop')
+
+
+def test_every_node_goes_through_its_lifecycle(domain, observer, plan, tmp_path, in_process):
+    network = tmp_path / 'paper_2.json'
+    content = config_path('systems', 'paper_2.json').read_text()
+    waits = {'autostart': False, 'network': str(network)}
+    made = plan(
+        recorder={'autostart': False},
+        simulator={**waits, 'publish_clock': True, 'duration': 0.0},
+        encoder=waits,
+        controller=waits,
+    )
+    stamps = []
+    observer.node.create_subscription(
+        JointState, 'configuration', lambda m: stamps.append(from_stamp(m.header.stamp)), LOOP_QOS
+    )
+    processes = {kind: domain.start_node(kind, made) for kind in NODES}
+    nodes = Lifecycle(observer, *NODES)
+    for name in NODES:
+        assert not nodes.change(name, ACTIVATE)  # there is no such transition yet
+        assert nodes.state(name) == 'unconfigured'
+        if name in LOOP:
+            assert not nodes.change(name, CONFIGURE)  # without the file of the network
+        assert nodes.state(name) == 'unconfigured'
+    network.write_text(content)
+
+    held = []
+    for _ in range(2):
+        nodes.go_round(stamps)
+        held.append([held_by(processes[name]) for name in NODES])
+    assert held[1] == held[0]
+    falls = [index for index in range(1, len(stamps)) if stamps[index] < stamps[index - 1]]
+    assert [stamps[index] for index in falls] == [0]  # each configuration begins an epoch
+
+    nodes.change_all(CONFIGURE)
+    nodes.change_all(ACTIVATE)
+    advance(observer, stamps)
+    for name in (*LOOP, 'recorder'):
+        assert nodes.change(name, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        output, _ = processes[name].communicate(timeout=GIVE_UP)
+        assert processes[name].returncode == 0, output
+        assert 'Traceback' not in output
+    expected = in_process(steps=15)
+    for bag in ('bag', 'bag_1', 'bag_2'):
+        run = read_run(made.folder / bag)
+        np.testing.assert_array_equal(run.force[:15], expected.force[:15])
+
+    log = f'bag:={made.folder / "bag"}'
+    readers = 'expected_subscribers:=[observer]'
+    player = domain.start('player_node', *ros_parameters('autostart:=false', log, readers))
+    node = Lifecycle(observer, 'player')
+    held = []
+    for _ in range(2):
+        node.go_round(stamps)
+        held.append(held_by(player))
+    assert held[1] == held[0]
+    code, output = domain.stop(player)
+    assert code == 0, output
+
+
+def ros_parameters(*values):
+    return ['--ros-args', *(part for value in values for part in ('-p', value))]
+
+
+FAULTY = """
+import sys
+from dpc_ros.nodes.encoder_node import EncoderNode
+from dpc_ros.nodes.loop_node import run_node
+
+class Faulty(EncoderNode):
+    faults = 1
+
+    def activate(self):
+        Faulty.faults -= 1
+        if Faulty.faults == 0:
+            raise ZeroDivisionError('a fault')
+        super().activate()
+
+sys.exit(run_node(Faulty))
+"""
+
+
+def test_an_error_in_a_transition_leaves_nothing_configured(domain, observer):
+    process = domain.start_script(FAULTY, *ros_parameters('autostart:=false'))
+    node = Lifecycle(observer, 'encoder')
+    node.change_all(CONFIGURE)
+    assert not node.change('encoder', ACTIVATE)
+    assert node.state('encoder') == 'unconfigured'
+    observer.wait(lambda: not configured_part(observer, 'encoder'), 'the clean-up')
+    node.change_all(CONFIGURE)
+    node.change_all(ACTIVATE)
+    code, output = domain.stop(process)
+    assert code == 0, output
+    assert 'ZeroDivisionError: a fault' in output
+
+
+def test_an_error_at_the_start_is_a_crash(domain):
+    process = domain.start_script(FAULTY)
+    output, _ = process.communicate(timeout=GIVE_UP)
+    assert process.returncode == os.EX_SOFTWARE, output
+    assert output.splitlines()[-1] == 'error: encoder: unexpected ZeroDivisionError: a fault'
+
+
+WATCHED = """
+import gc
+import sys
+from importlib import import_module
+
+from numba.core.dispatcher import Dispatcher
+
+from dpc_ros.nodes.loop_node import run_node
+
+kind = sys.argv.pop(1)
+node_class = getattr(import_module(f'dpc_ros.nodes.{kind}_node'), f'{kind.capitalize()}Node')
+
+def loaded():
+    compiled = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
+    return {*sys.modules, *((str(each), len(each.overloads)) for each in compiled)}
+
+class Watched(node_class):
+    def on_activate(self, state):
+        result = super().on_activate(state)
+        self.loaded = loaded()
+        return result
+
+    def finish(self):
+        super().finish()
+        print('loaded late:', loaded() - self.loaded)
+
+sys.exit(run_node(Watched))
+"""
+
+
+def test_nothing_is_imported_or_compiled_once_a_node_is_active(domain, plan):
+    """A callback that does takes longer than a step, and holds up the loop."""
+    made = plan(simulator={'duration': 0.2}, encoder={'observer': 'kalman'})
+    arguments = made.ros_arguments()
+    nodes = {kind: domain.start_script(WATCHED, kind, *arguments) for kind in NODES}
+    output = {'simulator': nodes['simulator'].communicate(timeout=GIVE_UP)[0]}
+    output |= {kind: domain.stop(nodes[kind])[1] for kind in ('encoder', 'controller', 'recorder')}
+    for kind in NODES:
+        assert nodes[kind].returncode == 0, output[kind]
+        assert 'loaded late: set()' in output[kind]
