@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+PROCESS_READING = 'process'  # number of the process that reports
 _LATENCY_WINDOW = 1000  # messages
 
 

@@ -24,7 +24,7 @@ from rclpy.subscription import Subscription
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.health import Health, SequenceCounter, diagnostic_array
+from dpc_ros.nodes.health import PROCESS_READING, Health, SequenceCounter, diagnostic_array
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
 from dpc_ros.nodes.stop import StopRequest
@@ -68,6 +68,7 @@ class LoopNode(LifecycleNode):
         self.kind = kind
         self.settings: Mapping[str, Any] = declare_parameters(self, kind)
         self.health = Health()
+        self.health.readings[PROCESS_READING] = str(os.getpid())
         self.failure = ''
         self.finished = False
         self.active = False

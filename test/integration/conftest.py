@@ -115,10 +115,14 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
+    def will_leave_behind(self, process: int) -> None:
+        """Remember the shared memory that a process can't remove any more once it is killed."""
+        with contextlib.suppress(OSError):  # it has ended by itself
+            self.left_behind |= held_shared_memory(process)
+
     def kill(self, process: subprocess.Popen) -> None:
         """Kill a process, and remember the shared memory that it can't remove any more."""
-        with contextlib.suppress(OSError):  # it has ended by itself
-            self.left_behind |= held_shared_memory(process.pid)
+        self.will_leave_behind(process.pid)
         process.kill()
         process.wait()
         process.stdout.close()

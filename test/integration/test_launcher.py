@@ -1,14 +1,19 @@
 """Nodes through their lifecycle, and the launcher that starts, watches and ends them."""
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
 
 from dpc_ros.bag import read_run
+from dpc_ros.bag.mcap_file import read_messages
+from dpc_ros.bag.repair import repair
+from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.topics import LOOP_QOS
 from dpc_ros.resources import config_path
@@ -239,3 +244,103 @@ def test_nothing_is_imported_or_compiled_once_a_node_is_active(domain, plan):
     for kind in NODES:
         assert nodes[kind].returncode == 0, output[kind]
         assert 'loaded late: set()' in output[kind]
+
+
+class Launched:
+    """A launcher and the nodes that it starts, as their reports and topics show them."""
+
+    def __init__(self, domain, observer, folder, *arguments):
+        self.domain, self.observer, self.folder = domain, observer, folder
+        self.processes = {}
+        self.stamps = []
+        node = observer.node
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._take_report, 10)
+        node.create_subscription(JointState, 'configuration', self._take_state, LOOP_QOS)
+        # The run can be over before the observer is discovered: it is waited for, too.
+        readers = '[encoder, recorder, launcher, observer]'
+        self.launcher = domain.start(
+            'launcher',
+            *('--output', str(folder), '--set', f'simulator.expected_subscribers={readers}'),
+            *arguments,
+        )
+
+    def _take_report(self, message):
+        for status in message.status:
+            values = {each.key: each.value for each in status.values}
+            self.processes[status.name] = int(values['process'])
+
+    def _take_state(self, message):
+        self.stamps.append(from_stamp(message.header.stamp))
+
+    def wait(self, condition, what):
+        self.observer.wait(lambda: condition() or self.launcher.poll() is not None, what)
+        assert self.launcher.poll() is None, self.launcher.stdout.read()
+
+    def signal(self, name, number):
+        """Send a node a signal once it has reported; if it ends it, another will report."""
+        self.wait(lambda: name in self.processes, f'a report of {name}')
+        process = self.processes.pop(name)
+        self.domain.will_leave_behind(process)
+        os.kill(process, number)
+        return process
+
+    def wait_for_another(self, name, process):
+        self.wait(lambda: self.processes.get(name, process) != process, f'another {name}')
+
+    def end(self):
+        self.observer.wait(lambda: self.launcher.poll() is not None, 'the end of the run')
+        return self.launcher.returncode, self.launcher.stdout.read()
+
+
+def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, assert_repeats):
+    """In lockstep nothing shows it afterwards."""
+    options = ('--silence', '2', '--set=simulator.resend_interval=0.05')
+    run = Launched(domain, observer, tmp_path / 'run', *options)
+    run.wait(lambda: run.stamps and run.stamps[-1] >= 10**9, 'a second of the run')
+    run.signal('encoder', signal.SIGSTOP)
+    run.signal('controller', signal.SIGKILL)
+    code, output = run.end()
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag')
+    assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
+    assert 'encoder was killed: it has not reported' in output
+    assert 'restarts    controller 1, encoder 1' in output
+    log = (tmp_path / 'run' / 'log' / 'encoder.log').read_text()
+    assert log.count('configured') == 2
+
+
+def test_a_recorder_and_a_simulator_that_crash(domain, observer, tmp_path):
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '2', '--realtime')
+    advance(observer, run.stamps)
+    run.wait_for_another('recorder', run.signal('recorder', signal.SIGKILL))
+    run.wait_for_another('simulator', run.signal('simulator', signal.SIGKILL))
+    code, output = run.end()
+    assert code == 0, output
+    bags = [tmp_path / 'run' / name for name in ('bag', 'bag_1')]
+    assert f'what follows is recorded in {bags[1]}' in output
+    assert 'the body begins again at rest' in output
+    assert 'restarts    recorder 1, simulator 1' in output
+    repair(bags[0], tmp_path / 'repaired')
+    assert len(read_run(tmp_path / 'repaired').configuration) > 0
+    stamps = [
+        from_stamp(m.content.header.stamp) for m in read_messages(bags[1], {'/configuration'})
+    ]
+    begin = stamps.index(0)  # the duration is that of the second motion
+    assert stamps[begin:] == [step * 5_000_000 for step in range(401)]
+
+
+def test_after_too_many_crashes_the_body_is_under_no_force(domain, observer, tmp_path):
+    options = ('--duration', '0', '--realtime', '--restarts', '1')
+    run = Launched(domain, observer, tmp_path / 'run', *options)
+    advance(observer, run.stamps)
+    run.wait_for_another('controller', run.signal('controller', signal.SIGKILL))
+    run.signal('controller', signal.SIGKILL)
+    code, output = run.end()
+    assert code == 1, output
+    assert '--restarts 1 allows no more' in output
+    logged = read_run(tmp_path / 'run' / 'bag')
+    assert logged.configuration_stamp[-1] > logged.force_stamp[-1]
+    integrator = Integrator(Mechanics(load_network('paper_2')), 0.005)
+    body = Body(integrator, 162, logged.configuration[-2], logged.velocity[-2])
+    body.advance(np.zeros(2))
+    np.testing.assert_array_equal(body.configuration, logged.configuration[-1])
