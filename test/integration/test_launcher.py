@@ -1,10 +1,12 @@
 """Nodes through their lifecycle, and the launcher that starts, watches and ends them."""
 
+import contextlib
 import os
 import signal
 from pathlib import Path
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -15,10 +17,12 @@ from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.bag.repair import repair
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.messages import from_stamp
+from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.nodes.topics import LOOP_QOS
 from dpc_ros.resources import config_path
 
 GIVE_UP = 120.0  # s after which a test stops waiting
+SAMPLE = Path(__file__).parents[2] / 'bags' / 'demo_1s'
 LOOP = ('simulator', 'encoder', 'controller')
 NODES = ('recorder', *LOOP)
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
@@ -253,6 +257,8 @@ class Launched:
         self.domain, self.observer, self.folder = domain, observer, folder
         self.processes = {}
         self.stamps = []
+        self.output = ''
+        self.memory = set()
         node = observer.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._take_report, 10)
         node.create_subscription(JointState, 'configuration', self._take_state, LOOP_QOS)
@@ -273,8 +279,8 @@ class Launched:
         self.stamps.append(from_stamp(message.header.stamp))
 
     def wait(self, condition, what):
-        self.observer.wait(lambda: condition() or self.launcher.poll() is not None, what)
-        assert self.launcher.poll() is None, self.launcher.stdout.read()
+        self.observer.wait(lambda: condition() or self.has_ended(), what)
+        assert not self.has_ended(), self.end()
 
     def signal(self, name, number):
         """Send a node a signal once it has reported; if it ends it, another will report."""
@@ -288,8 +294,36 @@ class Launched:
         self.wait(lambda: self.processes.get(name, process) != process, f'another {name}')
 
     def end(self):
-        self.observer.wait(lambda: self.launcher.poll() is not None, 'the end of the run')
-        return self.launcher.returncode, self.launcher.stdout.read()
+        self.observer.wait(self.has_ended, 'the end of the run')
+        self.has_said('')
+        return self.launcher.returncode, self.output
+
+    def has_ended(self):
+        for process in (self.launcher.pid, *self.nodes()):
+            self.memory |= self.domain.shared_memory(process)
+        return self.launcher.poll() is not None
+
+    def has_said(self, text):
+        """Return whether a text was among what has been shown so far."""
+        os.set_blocking(self.launcher.stdout.fileno(), False)
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(self.launcher.stdout.fileno(), 4096):
+                self.output += part.decode()
+        return text in self.output
+
+    def nodes(self):
+        """Return the processes that the launcher has started and that have not ended."""
+        mark = f'{PARENT_VARIABLE}={self.launcher.pid}'.encode()
+        found = []
+        for environment in Path('/proc').glob('[0-9]*/environ'):
+            with contextlib.suppress(OSError):
+                if mark in environment.read_bytes().split(b'\0'):
+                    found.append(int(environment.parent.name))
+        return found
+
+    def assert_nothing_is_left(self):
+        assert not self.nodes()
+        assert not self.domain.without_owner(self.memory)
 
 
 def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, assert_repeats):
@@ -344,3 +378,122 @@ def test_after_too_many_crashes_the_body_is_under_no_force(domain, observer, tmp
     body = Body(integrator, 162, logged.configuration[-2], logged.velocity[-2])
     body.advance(np.zeros(2))
     np.testing.assert_array_equal(body.configuration, logged.configuration[-1])
+
+
+IMPORTS = 'multiarray_umath'  # a library of numpy's, early among those of a program
+
+
+def maps(process):
+    try:
+        return Path(f'/proc/{process.pid}/maps').read_text()
+    except OSError:
+        return ''
+
+
+MILESTONES = {
+    'imports': lambda run: IMPORTS in maps(run.launcher),
+    'ros': lambda run: '_rclpy_pybind11' in maps(run.launcher),
+    'plan': lambda run: (run.folder / 'parameters.yaml').exists(),
+    'node processes': lambda run: (run.folder / 'log' / 'controller.log').exists(),
+    'shared memory': lambda run: '/dev/shm/fast' in maps(run.launcher),
+    'bag': lambda run: (run.folder / 'bag').exists(),
+    'simulator': lambda run: 'simulator' in run.observer.node.get_node_names(),
+    'first state': lambda run: bool(run.stamps),
+}
+
+
+@pytest.mark.parametrize('milestone', MILESTONES)
+def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milestone):
+    """With one more while it is finishing, if it gets that far."""
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0')
+    run.wait(lambda: MILESTONES[milestone](run), milestone)
+    run.launcher.send_signal(signal.SIGINT)
+    run.observer.wait(lambda: run.has_said('finishing') or run.has_ended(), 'the end')
+    run.launcher.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    logs = [log.read_text() for log in (tmp_path / 'run').glob('log/*.log')]
+    assert 'Traceback' not in '\n'.join([output, *logs])
+    assert 'KeyboardInterrupt' not in '\n'.join([output, *logs])
+    run.assert_nothing_is_left()
+
+
+NODE_MILESTONES = {
+    'imports': IMPORTS,
+    'ros': '_rclpy_pybind11',
+    'middleware': 'librmw_fastrtps',
+    'shared memory': '/dev/shm/fast',
+}
+
+
+@pytest.mark.parametrize('milestone', NODE_MILESTONES)
+def test_ctrl_c_ends_a_node_at_any_time(domain, observer, tmp_path, milestone):
+    running = {
+        kind: domain.start(
+            f'{kind}_node', *ros_parameters(f'bag:={bag}', 'expected_subscribers:=[nobody]')
+        )
+        for kind, bag in (*((kind, tmp_path / 'bag') for kind in NODES), ('player', SAMPLE))
+    }
+    memory = set()
+    while running:
+        for kind, process in [*running.items()]:
+            memory |= domain.shared_memory(process.pid)
+            if NODE_MILESTONES[milestone] in maps(process) or process.poll() is not None:
+                process.send_signal(signal.SIGINT)
+                process.send_signal(signal.SIGINT)
+                del running[kind]
+    for process in domain.processes:
+        output, _ = process.communicate(timeout=GIVE_UP)
+        assert process.returncode == 0, output
+        assert 'Traceback' not in output
+    assert not domain.without_owner(memory)
+
+
+COMPOSED = """
+import gc
+import sys
+from pathlib import Path
+
+from dpc_ros.nodes.launch_plan import make_plan
+from dpc_ros.nodes.launcher import launch
+from dpc_ros.resources import config_path
+
+def count(folder):
+    return len([*Path('/proc/self', folder).iterdir()])
+
+for cycle in range(int(sys.argv[1])):
+    folder = Path(sys.argv[2], f'composed_{cycle}')
+    plan = make_plan(config_path('demo.yaml'), {'simulator': {'duration': 0.05}}, folder)
+    plan.write()
+    assert launch(plan, composed=True) == 0
+    gc.collect()
+    pages = int(Path('/proc/self/statm').read_text().split()[1])
+    print('cycle', count('task'), count('fd'), pages, flush=True)
+"""
+
+
+CYCLES = [3, pytest.param(100, marks=[pytest.mark.long, pytest.mark.timeout(3600)])]
+PAGE = os.sysconf('SC_PAGE_SIZE')
+LARGEST_GROWTH = 4 * 2**20  # bytes, over all cycles but the first two
+
+
+@pytest.mark.parametrize('cycles', CYCLES)
+def test_starting_and_stopping_leaves_nothing(domain, observer, tmp_path, cycles):
+    for cycle in range(cycles):
+        run = Launched(domain, observer, tmp_path / f'run_{cycle}', '--duration', '0.05')
+        code, output = run.end()
+        assert code == 0, output
+        run.assert_nothing_is_left()
+
+
+@pytest.mark.parametrize('cycles', CYCLES)
+def test_starting_and_stopping_in_one_process_leaves_nothing(domain, tmp_path, cycles):
+    process = domain.start_script(COMPOSED, str(cycles), str(tmp_path))
+    output, _ = process.communicate(timeout=GIVE_UP * cycles)
+    assert process.returncode == 0, output
+    lines = [line.split()[1:] for line in output.splitlines() if line.startswith('cycle')]
+    threads, files, pages = np.array(lines, int).T
+    assert len(threads) == cycles
+    assert {*threads} == {threads[0]}
+    assert {*files} == {files[0]}
+    assert (pages[-1] - pages[1]) * PAGE < LARGEST_GROWTH
