@@ -92,7 +92,7 @@ setup(
     entry_points={
         'console_scripts': [
             'dpc = dpc_ros.cli:main',
-            *(f'{node} = {PACKAGE}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {PACKAGE}.nodes.program:{node}' for node in NODES),
         ],
     },
     zip_safe=False,

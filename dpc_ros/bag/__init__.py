@@ -25,7 +25,7 @@ from dpc_ros.bag.reader import Run, Target, read_run
 from dpc_ros.bag.signals import Deviation
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import QosProfile, Topic
-from dpc_ros.bag.writer import BagWriter
+from dpc_ros.bag.writer import BagWriter, further_folder
 
 __all__ = [
     'COMMAND_RECORD',
@@ -50,6 +50,7 @@ __all__ = [
     'analyse',
     'course',
     'draw',
+    'further_folder',
     'read_contents',
     'read_messages',
     'read_raw',

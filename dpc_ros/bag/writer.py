@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 
@@ -239,3 +240,9 @@ class BagWriter:
     def _check_open(self) -> None:
         if self._file.closed:
             raise ValueError(f'{self.folder}: the bag is closed and takes nothing more')
+
+
+def further_folder(folder: Path) -> Path:
+    """Return the first of `<folder>_1`, `<folder>_2`, … that does not exist yet."""
+    further = (folder.with_name(f'{folder.name}_{number}') for number in count(1))
+    return next(each for each in further if not each.exists())

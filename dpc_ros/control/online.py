@@ -6,6 +6,7 @@ The nodes are adapters around these; a log that is run again is fed to the very 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields
 from typing import Any
 
@@ -98,6 +99,27 @@ class OnlineController:
         self.has_target = False
         self._schedule = TargetSchedule()
         self._seen: Target | None = None
+        self._prepared: Target | None = None
+        self._parameters = parameters
+
+    def warm_up(self) -> None:
+        """Compile what compiles at its first call, with a law of the same kind."""
+        system = self.law.system
+        law = make_law(self._parameters['law'], system, law_settings(self._parameters))
+        rest = self.network.rest_configuration
+        latent = system.autoencoder.encode(rest)
+        with suppress(Exception):  # whether it can regulate to rest does not matter
+            law.regulate(Target(configuration=rest))
+            law.force(latent, np.zeros_like(latent))
+
+    def prepare(self, target: Target) -> None:
+        """Give the law the target that is to come first; once it has come nothing is left to solve.
+
+        Raises:
+            Exception: whatever the law raises.
+        """
+        self.law.regulate(target)
+        self._prepared = target
 
     def add_target(self, stamp: int, target: Target) -> None:
         """Take a target that counts from a stamp [ns] on; zero means at once."""
@@ -122,7 +144,9 @@ class OnlineController:
         if target is None or target is self._seen:
             return None
         self._seen = target
-        self.law.regulate(target)
+        prepared, self._prepared = self._prepared, None
+        if prepared is None or not prepared.is_same(target):
+            self.law.regulate(target)
         self.has_target = True
         return target
 

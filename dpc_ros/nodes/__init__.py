@@ -1,17 +1,8 @@
 """The ROS 2 nodes: thin adapters around the core. Only here is rclpy imported."""
 
 import sys
-from types import TracebackType
 
+if sys.argv[:1] == ['-m']:  # Python is on its way to a program in here: `python -m dpc_ros.nodes.…`
+    from dpc_ros.nodes.program import end_quietly
 
-def _end_quietly(
-    kind: type[BaseException], error: BaseException, traceback: TracebackType | None
-) -> None:
-    """Show no traceback where a Ctrl-C ends a program that has not begun, or has ended."""
-    if not issubclass(kind, KeyboardInterrupt):
-        sys.__excepthook__(kind, error, traceback)
-
-
-# Only for what nobody has caught, and only where nobody else has said how to show it.
-if sys.excepthook is sys.__excepthook__:
-    sys.excepthook = _end_quietly
+    end_quietly(sys.orig_argv[sys.orig_argv.index('-m') + 1])

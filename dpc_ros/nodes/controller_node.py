@@ -30,6 +30,7 @@ class ControllerNode(LoopNode):
     def configure(self) -> None:
         settings = self.settings
         self._controller = OnlineController(settings)
+        self._controller.warm_up()
         self._network = self._controller.network
         self._identifier = self._controller.checkpoint.identifier
         self.health.readings |= {
@@ -42,8 +43,7 @@ class ControllerNode(LoopNode):
         self._first_target: Target | None = None
         if settings['target']:
             self._first_target = load_target(settings['target'], self._network)
-            # A bad target is refused now; warms up, too.
-            self._controller.law.regulate(self._first_target)
+            self._controller.prepare(self._first_target)  # a bad one is refused now
         self._control_force = self.create_output('control_force')
         self._target_publisher = self.create_output('target') if self._first_target else None
         self._target_in_force = self.create_output('target_in_force')

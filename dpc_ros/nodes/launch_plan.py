@@ -34,6 +34,8 @@ class LaunchPlan:
         namespace: of all nodes and topics.
         leader: kind of the node whose end is the end of the run.
         remappings: of each kind of node, `from:=to`.
+        restarts: how often in the run a node that has crashed is started anew.
+        silence: time [s] without a report of a node after which it is unresponsive; 0 is never.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -41,6 +43,8 @@ class LaunchPlan:
     namespace: str
     leader: str = 'simulator'
     remappings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    restarts: int = 0
+    silence: float = 0.0
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -95,6 +99,8 @@ def make_plan(
     folder: Path,
     namespace: str = '/',
     record: bool = True,
+    restarts: int = 0,
+    silence: float = 0.0,
 ) -> LaunchPlan:
     """Merge a parameter file with overrides and check every value.
 
@@ -104,6 +110,8 @@ def make_plan(
         folder: of the run; must not exist yet.
         namespace: of all nodes, with or without the leading `/`.
         record: whether a recorder is started.
+        restarts: see `LaunchPlan`; with any, a lockstep simulator waits longer for an answer.
+        silence: see `LaunchPlan`.
 
     Raises:
         FileExistsError: the folder exists.
@@ -123,8 +131,15 @@ def make_plan(
     nodes = ((RECORDER,) if record else ()) + LOOP
     _check_known(config, sections, overrides)
     folder = folder.resolve()
+    if restarts < 0 or not silence >= 0:
+        raise ParameterError(
+            f'expected restarts and silence of 0 or more, got {restarts} and {silence:g}'
+        )
+    simulator = {'startup_timeout': _STARTUP_TIMEOUT}
+    if restarts:  # a node that is started anew needs as long as at first
+        simulator['response_timeout'] = _STARTUP_TIMEOUT
     defaults: dict[str, dict[str, Any]] = {
-        'simulator': {'startup_timeout': _STARTUP_TIMEOUT},
+        'simulator': simulator,
         RECORDER: {
             'bag': str(folder / 'bag'),
             'parameters_file': str(folder / 'parameters.yaml'),
@@ -152,7 +167,7 @@ def make_plan(
             if node == 'controller' and observes:
                 readers.append('encoder')
             parameters[node]['expected_subscribers'] = readers
-    return LaunchPlan(parameters, folder, namespace)
+    return LaunchPlan(parameters, folder, namespace, restarts=restarts, silence=silence)
 
 
 def _check_observer(encoder: Mapping[str, Any], simulator: Mapping[str, Any]) -> None:

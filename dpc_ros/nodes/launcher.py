@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import datetime
 import sys
-from collections.abc import Callable
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.executors import Executor
 
 from dpc_ros.bag import draw, table
 from dpc_ros.bag.report import converge
@@ -19,10 +23,11 @@ from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
-from dpc_ros.nodes.processes import NodeProcesses
+from dpc_ros.nodes.processes import STOP_TIMEOUT, NodeProcesses
 from dpc_ros.nodes.recorder_node import RecorderNode
 from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.stop import StopRequest
+from dpc_ros.nodes.supervision import Supervision
 from dpc_ros.parameters import parse_overrides
 from dpc_ros.resources import config_path
 from dpc_ros.threads import single_threaded_algebra
@@ -33,6 +38,8 @@ _NODE_CLASSES: dict[str, Callable[[Context], LoopNode]] = {
     'controller': ControllerNode,
     'recorder': RecorderNode,
 }
+_ACTING = ('controller', 'encoder')  # what gives the body its force
+_STEPS_AT_REST = 10  # under no force, before a simulator that goes by the wall clock is ended
 _INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
 
 
@@ -52,6 +59,8 @@ def _main(options: argparse.Namespace) -> int:
             Path(options.output or f'runs/{datetime.datetime.now():%Y%m%d_%H%M%S}'),
             options.namespace,
             options.record,
+            0 if options.composed else options.restarts,
+            options.silence,
         )
         plan.write()
     except (ValueError, OSError) as error:
@@ -72,38 +81,99 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     arguments = plan.ros_arguments() if composed else namespace_arguments(plan)
     with StopRequest(arguments) as stop:
         run = _run_composed if composed else run_processes
-        failure, code = run(plan, stop)
+        outcome = run(plan, stop)
         interrupted = bool(stop)
-    if failure:
-        return _complain(failure, code)
+    started_anew = f'; restarts: {_list_restarts(outcome)}' if outcome.restarts else ''
+    if outcome.failure:
+        return _complain(outcome.failure + started_anew, outcome.exit_code)
     if interrupted:
-        return _complain(f'stopped; what was recorded is in {plan.folder}', _INTERRUPTED)
-    return _report(plan)
+        kept = f'what was recorded is in {plan.folder}'
+        return _complain(f'stopped; {kept}{started_anew}', _INTERRUPTED)
+    return _report(plan, outcome)
 
 
-def run_processes(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
-    """Run each node of a plan in a process; return why one failed, if so, and the exit code."""
+@dataclass
+class Outcome:
+    """How a run went.
+
+    Attributes:
+        failure: why it failed; empty if it did not.
+        exit_code: for it.
+        restarts: how often nodes were started anew.
+        bags: folders of the log.
+    """
+
+    failure: str = ''
+    exit_code: int = 0
+    restarts: Mapping[str, int] = field(default_factory=dict)
+    bags: Sequence[Path] = ()
+
+
+def run_processes(plan: LaunchPlan, stop: StopRequest) -> Outcome:
+    """Run each node of a plan in a process."""
     executor = make_executor('kept_wait_set', context=stop.context)
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
     processes = NodeProcesses(plan)
+    supervision = Supervision(plan, processes, monitor, monitor.say)
     try:
         processes.start()
-        spin_until(executor, lambda: bool(stop) or processes.is_over())
+        spin_until(executor, lambda: bool(stop) or supervision.is_over())
+        if supervision.failure:
+            _bring_to_rest(plan, processes, monitor, executor)
     finally:
         monitor.close()
-        processes.stop()
+        failed_at_the_end = processes.stop()
         executor.shutdown()
         monitor.destroy_node()
-    return processes.failure, processes.exit_code
+    return Outcome(
+        supervision.failure or failed_at_the_end,
+        supervision.exit_code,
+        processes.restarts,
+        processes.bags,
+    )
 
 
-def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
+def _bring_to_rest(
+    plan: LaunchPlan, processes: NodeProcesses, monitor: Monitor, executor: Executor
+) -> None:
+    """End those who act on the body, and let it go on until it is under the force of nobody.
+
+    In lockstep it stands still without them. By the wall clock the simulator is left to replace the
+    force that has become stale (`force_timeout`), so that the log shows it.
+    """
+    processes.ask_to_stop(_ACTING)
+    given_up_at = time.monotonic() + STOP_TIMEOUT
+    spin_until(
+        executor,
+        lambda: not processes.are_running(_ACTING) or time.monotonic() > given_up_at,
+    )
+    for node in _ACTING:
+        if processes.are_running([node]):
+            processes.kill(node)
+    simulator = plan.parameters.get('simulator', {})
+    if simulator.get('time_mode') != 'realtime':
+        return
+    stale_after = simulator['force_timeout'] * simulator['real_time_factor']
+    at_rest = monitor.seconds + stale_after + _STEPS_AT_REST / simulator['rate']
+    given_up_at = time.monotonic() + STOP_TIMEOUT
+    spin_until(
+        executor,
+        lambda: (
+            monitor.seconds > at_rest
+            or not processes.are_running(['simulator'])
+            or time.monotonic() > given_up_at
+        ),
+    )
+
+
+def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
     executor = make_executor('kept_wait_set', context=stop.context)
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
     nodes: dict[str, LoopNode] = {}
     single_threaded_algebra()
+    crash = ''
     try:
         for kind in plan.nodes:
             nodes[kind] = _NODE_CLASSES[kind](stop.context)
@@ -116,6 +186,9 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
 
         spin_until(executor, is_over)
         finish(executor, [nodes[kind] for kind in (*LOOP, RECORDER) if kind in nodes])
+    except Exception as error:  # of any node: it takes the others with it, but not the log
+        traceback.print_exc()
+        crash = f'unexpected {type(error).__name__}: {error}'
     finally:
         monitor.close()
         executor.shutdown()
@@ -123,31 +196,43 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> tuple[str, int]:
         for node in nodes.values():
             node.close()
     failures = [f'{kind}: {node.failure}' for kind, node in nodes.items() if node.failure]
-    return (failures[0], 1) if failures else ('', 0)
+    failure = crash or (failures[0] if failures else '')
+    return Outcome(failure, 1 if failure else 0, bags=[plan.bag] if plan.bag else [])
 
 
-def _report(plan: LaunchPlan) -> int:
-    if not plan.records('configuration'):
-        print(f'parameters  {plan.parameters_file}')
-        return 0
-    try:
-        convergence, notes = converge(
-            plan.bag,
-            plan.parameters['simulator']['network'],
-            plan.parameters['encoder']['checkpoint'],
-        )
-        figure = plan.folder / 'convergence.png'
-        print(table(convergence))
-        for note in notes:
-            print(note)
-        draw(convergence, figure)
-    except (ValueError, OSError) as error:
-        return _complain(str(error), 1)
-    print()
-    print(f'figure      {figure}')
-    print(f'log         {plan.bag}')
+def _report(plan: LaunchPlan, outcome: Outcome) -> int:
+    began_anew = {plan.leader, RECORDER} & outcome.restarts.keys()
+    if plan.records('configuration') and not began_anew:
+        try:
+            figure = _show_convergence(plan)
+        except (ValueError, OSError) as error:
+            return _complain(str(error), 1)
+        print()
+        print(f'figure      {figure}')
+    for bag in outcome.bags:
+        print(f'log         {bag}')
     print(f'parameters  {plan.parameters_file}')
+    if outcome.restarts:
+        print(f'restarts    {_list_restarts(outcome)}')
     return 0
+
+
+def _show_convergence(plan: LaunchPlan) -> Path:
+    convergence, notes = converge(
+        plan.bag,
+        plan.parameters['simulator']['network'],
+        plan.parameters['encoder']['checkpoint'],
+    )
+    figure = plan.folder / 'convergence.png'
+    print(table(convergence))
+    for note in notes:
+        print(note)
+    draw(convergence, figure)
+    return figure
+
+
+def _list_restarts(outcome: Outcome) -> str:
+    return ', '.join(f'{node} {count}' for node, count in outcome.restarts.items())
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -192,6 +277,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--realtime', action='store_true', help='by the wall clock, not lockstep')
     parser.add_argument('--output', help='folder of the run, new; default runs/<date>_<time>')
     parser.add_argument('--composed', action='store_true', help='all nodes in one process')
+    parser.add_argument(
+        '--restarts',
+        type=int,
+        default=3,
+        metavar='N',
+        help='in the run, over all nodes, after crashes; none with --composed; default 3',
+    )
+    parser.add_argument(
+        '--silence',
+        type=float,
+        default=5.0,
+        metavar='SECONDS',
+        help='without a report after which a node is said to be unresponsive, and started anew '
+        'after three times as long; 0 for never; default 5',
+    )
     parser.add_argument(
         '--no-record', dest='record', action='store_false', help='write no log, show no table'
     )

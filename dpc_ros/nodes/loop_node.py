@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import traceback
 from collections import defaultdict
@@ -11,6 +12,7 @@ from copy import copy
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -22,13 +24,19 @@ from rclpy.subscription import Subscription
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.health import DIAGNOSTICS, Health, SequenceCounter, diagnostic_array
+from dpc_ros.nodes.health import (
+    DIAGNOSTICS,
+    Health,
+    SequenceCounter,
+    diagnostic_array,
+)
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.parameters import declare_parameters
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.topics import TOPICS, Topic
 from dpc_ros.threads import single_threaded_algebra
 
+CRASHED = os.EX_SOFTWARE  # exit code after an error that is none of the user's
 _DIAGNOSTIC_PERIOD = 1.0  # s
 # Longer than the 3 s after which Fast DDS asks again for an acknowledgement that it misses.
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
@@ -44,6 +52,10 @@ class LoopNode(LifecycleNode):
     A subclass fills in `configure` (everything slow; raises ValueError or OSError with the reason)
     and, where it has something to do, `activate`, `deactivate`, `clean_up`, `finish`. Inputs and
     outputs that it creates are destroyed with the rest at clean-up.
+
+    A transition that fails with a reason leaves the node in the state that it was in. One that
+    raises anything else is an error in the node: it lets go of everything and is unconfigured.
+    While the node starts by itself (`autostart`) either is the end of it.
 
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
@@ -73,6 +85,8 @@ class LoopNode(LifecycleNode):
         self._said: dict[tuple[str, str], float] = {}  # time [s] by source and line
         self._sequences: defaultdict[str, SequenceCounter] = defaultdict(SequenceCounter)
         self._starting = False
+        self._error: Exception | None = None  # that it met while it started by itself
+        self._serve_transitions()
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
 
@@ -100,21 +114,30 @@ class LoopNode(LifecycleNode):
         """Do what is left to do at the end, after the last callback."""
 
     def start(self) -> bool:
-        """Configure and activate, where `autostart` says so; return whether that worked."""
+        """Configure and activate, where `autostart` says so; return whether that worked.
+
+        Raises:
+            Exception: what a transition raised that is no reason, but an error in the node.
+        """
         if not self.settings['autostart']:
             return True
         success = TransitionCallbackReturn.SUCCESS
         self._starting = True
         started = self.trigger_configure() == success and self.trigger_activate() == success
         self._starting = False
+        if self._error is not None:
+            raise self._error
         return started
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._transition(self.configure)
+        result = self._transition(self.configure, undo=self._clean_up)
+        if result == TransitionCallbackReturn.SUCCESS:
+            self.get_logger().info('configured')  # the first line that is logged takes long, too
+        return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.health.restart()
-        result = self._transition(self.activate)
+        result = self._transition(self.activate, undo=self.deactivate)
         self.active = result == TransitionCallbackReturn.SUCCESS
         return result
 
@@ -123,13 +146,20 @@ class LoopNode(LifecycleNode):
         return self._transition(self.deactivate)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._clean_up()
-        return TransitionCallbackReturn.SUCCESS
+        return self._transition(self._clean_up)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = False
         self.finished = True
         return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything after a transition that raised; give up where even that raises."""
+        self.active = False
+        result = self._transition(self._clean_up)
+        if result != TransitionCallbackReturn.SUCCESS:
+            self.failure = self.failure or 'it could not let go of what it had configured'
+        return result
 
     def create_output(self, topic: str, entry: Topic | None = None) -> Publisher:
         """Return the publisher of a topic of the loop, or of any topic by its type and quality."""
@@ -263,21 +293,52 @@ class LoopNode(LifecycleNode):
         self._clean_up()
         self.destroy_node()
 
-    def _transition(self, action: Callable[[], None]) -> TransitionCallbackReturn:
+    def _transition(
+        self, action: Callable[[], None], undo: Callable[[], None] | None = None
+    ) -> TransitionCallbackReturn:
+        """Do what a transition asks for.
+
+        Args:
+            action: what is to be done.
+            undo: lets go of what a refused action, one that gave a reason, has done so far; without
+                it there is no reason to refuse.
+        """
         try:
             action()
-        except (ValueError, OSError) as error:
-            self._clean_up()
+        except Exception as error:
+            if undo is not None and isinstance(error, (ValueError, OSError)):
+                undo()
+                self._refuse(str(error))
+                return TransitionCallbackReturn.FAILURE
             if self._starting:
-                self.failure = str(error)
+                self._error = error
             else:
-                self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # rclpy would swallow it
-            traceback.print_exc()
-            self.failure = f'{type(error).__name__}: {error}'
-            raise
+                traceback.print_exc()  # rclpy would swallow it
+                self.get_logger().error(f'unexpected {type(error).__name__}: {error}')
+            return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
+
+    def _refuse(self, reason: str) -> None:
+        if self._starting:
+            self.failure = reason
+        else:
+            self.get_logger().error(reason)
+
+    def _serve_transitions(self) -> None:
+        """Refuse a transition that there is none of from here; rclpy would end the process."""
+        service = self._service_change_state
+        change = service.callback
+
+        def change_or_refuse(
+            request: ChangeState.Request, response: ChangeState.Response
+        ) -> ChangeState.Response:
+            try:
+                return change(request, response)
+            except RuntimeError:  # the base of what rclpy raises; rcl has said in the log why
+                response.success = False
+                return response
+
+        service.callback = change_or_refuse
 
     def _clean_up(self) -> None:
         self.clean_up()
@@ -314,7 +375,8 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
     """Run one node in this process until it has finished, failed, or is told to stop.
 
     Returns:
-        the exit code: 0 after the end or a Ctrl-C, 1 after a failure, 2 for bad parameters.
+        the exit code: 0 after the end or a Ctrl-C, 1 after a failure, 2 for bad parameters,
+        `CRASHED` after an error in the node itself.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -332,16 +394,20 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
     )
     executor.add_node(node)
     single_threaded_algebra()
+    code = 0
     try:
         if node.start():
             spin_until(executor, lambda: bool(stop or node.failure or node.finished))
             finish(executor, [node])
+    except Exception as error:  # of whatever a callback calls; what was recorded is kept
+        traceback.print_exc()
+        node.failure, code = f'unexpected {type(error).__name__}: {error}', CRASHED
     finally:
         executor.shutdown()
         node.close()
     if node.failure:
         print(f'error: {node.kind}: {node.failure}', file=sys.stderr)
-        return 1
+        return code or 1
     return 0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
@@ -37,10 +39,25 @@ class Monitor(Node):
             mininterval=_REFRESH,
         )
         self._bar.set_description_str('waiting for the nodes')
-        self.create_timer(_REFRESH, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._refresh = self.create_timer(
+            _REFRESH, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of the newest configuration [s], 0 before the first."""
+        if 'configuration' not in self._newest:
+            return 0.0
+        state = deserialize_message(self._newest['configuration'], JointState)
+        return from_stamp(state.header.stamp) / NANOSECONDS
+
+    def say(self, line: str) -> None:
+        """Show a line above the bar."""
+        self._bar.write(line, file=sys.stderr)
 
     def close(self) -> None:
         """End the bar with what came last; the nodes are about to finish."""
+        self._refresh.cancel()
         self._show()
         self._bar.set_description_str('finishing')
         self._bar.close()

@@ -54,6 +54,8 @@ class PlayerNode(LoopNode):
         self._commands: list[Service] = []
         self._timer: Timer | None = None
         self._players: dict[str, Publisher] = {}
+        self._messages: Iterator[RawMessage] | None = None
+        self._steps: Iterator[Step] | None = None
 
     def configure(self) -> None:
         settings = self.settings
@@ -114,6 +116,7 @@ class PlayerNode(LoopNode):
             self.destroy_service(service)
         self._commands = []
         self._players = {}
+        self._messages = self._steps = None  # they keep the files of the log open
 
     def _choose(self, recorded: dict[str, LoggedTopic]) -> dict[str, LoggedTopic]:
         answers = {self._in_namespace(name) for name in _ANSWERS if self._lockstep}
@@ -150,7 +153,7 @@ class PlayerNode(LoopNode):
             force = self._in_namespace('control_force')
             self._steps = lockstep_steps(self._excerpt, self._configuration, force)
         else:
-            self._messages: Iterator[RawMessage] = self._excerpt.messages()
+            self._messages = self._excerpt.messages()
             self._start_ns, _ = self._excerpt.span_ns()
             self._take_following()
             self._anchor()
@@ -195,7 +198,8 @@ class PlayerNode(LoopNode):
         if self._following is None:
             self._come_to_the_end()
 
-    def _read_next(self, parts: Iterator[_Part]) -> _Part | None:
+    def _read_next(self, parts: Iterator[_Part] | None) -> _Part | None:
+        assert parts is not None  # it has begun
         try:
             return next(parts, None)
         except ValueError as error:

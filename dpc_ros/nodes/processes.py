@@ -8,93 +8,154 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
 
+from dpc_ros.bag import further_folder
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+from dpc_ros.nodes.loop_node import CRASHED
 from dpc_ros.nodes.provenance import COMMAND_VARIABLE
 from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.results import command_line
 
-_STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
+STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
 _POLL = 0.02  # s
+_ASKED_TO_STOP = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)  # exit codes
 
 
 class NodeProcesses:
-    """Starts the nodes of a plan, watches them and ends them in order.
+    """Starts the nodes of a plan, says how they ended, and ends them in order.
 
     Each runs in a session of its own, so that a Ctrl-C in the terminal reaches the launcher alone,
-    which then ends the loop before the recorder. Output goes to `log/<node>.log` of the run.
+    which then ends the loop before the recorder. Output goes to `log/<node>.log` of the run, that
+    of a node that is started anew behind what is there.
+
+    They are started all at once: each waits for the readers of its topics (`expected_subscribers`),
+    the first of them for the recorder, so that starting one after the other would add nothing but
+    the time that each takes to come up.
+
+    Attributes:
+        restarts: how often each node was started anew.
+        bags: folders of the log; more than one where the recorder was started anew.
     """
 
     def __init__(self, plan: LaunchPlan) -> None:
         self._plan = plan
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.failure = ''
-        self.exit_code = 0
+        self._log_begins: dict[str, int] = {}  # where the output of the present process does
+        self.restarts: Counter[str] = Counter()
+        self.bags = [plan.bag] if plan.bag else []
 
     def start(self) -> None:
-        """Start every node, the recorder first."""
-        logs = self._plan.folder / 'log'
-        logs.mkdir()
+        """Start every node."""
+        (self._plan.folder / 'log').mkdir()
+        for node in self._plan.nodes:
+            self._start(node)
+
+    def restart(self, node: str) -> None:
+        """Start a node anew that has ended; a recorder leaves the bag that it had as it is."""
+        self.restarts[node] += 1
+        parameters = []
+        if node == RECORDER:
+            self.bags.append(further_folder(self.bags[0]))
+            parameters = ['-p', f'bag:={self.bags[-1]}']
+        self._start(node, parameters)
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of the nodes that have ended."""
+        codes = {node: process.poll() for node, process in self._processes.items()}
+        return {node: code for node, code in codes.items() if code is not None}
+
+    def are_running(self, nodes: Iterable[str]) -> bool:
+        """Return whether any of some nodes has not ended."""
+        return bool({*nodes} & self._processes.keys() - self.ended().keys())
+
+    def process_id(self, node: str) -> int:
+        """Return the number of the process that a node is."""
+        return self._processes[node].pid
+
+    def ask_to_stop(self, nodes: Iterable[str]) -> None:
+        """Send those of some nodes that run what a Ctrl-C does."""
+        for node in nodes:
+            if node in self._processes and self._processes[node].poll() is None:
+                self._processes[node].send_signal(signal.SIGINT)
+
+    def kill(self, node: str) -> None:
+        """End a node that does not end by itself."""
+        self._processes[node].kill()
+        self._processes[node].wait()
+
+    def stop(self) -> str:
+        """End what still runs: the loop first, then the recorder, so that nothing is lost.
+
+        Returns:
+            what went wrong with it, empty if nothing did.
+        """
+        loop = [node for node in self._processes if node != RECORDER]
+        recorder = [node for node in self._processes if node == RECORDER]
+        return self._stop(loop) or self._stop(recorder)
+
+    def _stop(self, nodes: list[str]) -> str:
+        running = [node for node in nodes if self.are_running([node])]
+        self.ask_to_stop(running)
+        deadline = time.monotonic() + STOP_TIMEOUT
+        for node in running:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._processes[node].wait(max(deadline - time.monotonic(), _POLL))
+                continue
+            self.kill(node)
+        failed = [node for node in running if self.ended()[node] not in _ASKED_TO_STOP]
+        return self.describe_end(failed[0]) if failed else ''
+
+    def has_crashed(self, node: str) -> bool:
+        """Return whether a node that has ended did not mean to: by a signal, or by an error in it.
+
+        Not if it ended with a reason, or was asked to.
+        """
+        code = self.ended()[node]
+        return code == CRASHED or (code < 0 and code not in _ASKED_TO_STOP)
+
+    def describe_end(self, node: str) -> str:
+        """Return how a node ended and why, as far as it has said."""
+        code = self.ended()[node]
+        if code < 0:
+            return f'{node} was ended by {signal.Signals(-code).name}'
+        log = self._log(node)
+        said = log.read_bytes()[self._log_begins[node] :].decode(errors='replace')
+        lines = [line for line in said.splitlines() if line.strip()]
+        errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
+        reason = errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
+        return f'{node} ended with exit code {code}: {reason} (see {log})'
+
+    def _log(self, node: str) -> Path:
+        return self._plan.folder / 'log' / f'{node}.log'
+
+    def _start(self, node: str, parameters: Iterable[str] = ()) -> None:
         environment = {
             **os.environ,
             PARENT_VARIABLE: str(os.getpid()),
             COMMAND_VARIABLE: command_line(),
             'PYTHONUNBUFFERED': '1',
         }
-        for node in self._plan.nodes:
-            command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
-            with (logs / f'{node}.log').open('wb') as log:
-                self._processes[node] = subprocess.Popen(
-                    [*command, *self._plan.ros_arguments(node)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    env=environment,
-                    start_new_session=True,
-                )
+        command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
+        with self._log(node).open('ab') as log, _interrupts_wait():
+            self._log_begins[node] = log.tell()
+            self._processes[node] = subprocess.Popen(
+                [*command, *self._plan.ros_arguments(node), *parameters],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,
+            )
 
-    def is_over(self) -> bool:
-        """Return whether the leader has come to its end, or any node has failed."""
-        for node, process in self._processes.items():
-            code = process.poll()
-            if code is None:
-                continue
-            if node != self._plan.leader or code != 0:
-                self._note_failure(node, code)
-            return True
-        return False
 
-    def stop(self) -> None:
-        """End what still runs: the loop first, then the recorder, so that nothing is lost."""
-        self._stop([node for node in self._processes if node != RECORDER])
-        self._stop([node for node in self._processes if node == RECORDER])
-
-    def _stop(self, nodes: list[str]) -> None:
-        for node in nodes:
-            if self._processes[node].poll() is None:
-                with contextlib.suppress(ProcessLookupError):
-                    self._processes[node].send_signal(signal.SIGINT)
-        deadline = time.monotonic() + _STOP_TIMEOUT
-        for node in nodes:
-            process = self._processes[node]
-            try:
-                code = process.wait(max(deadline - time.monotonic(), _POLL))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-                code = -signal.SIGKILL
-            # A process that is told to stop before its handlers are up ends by the signal itself.
-            if code not in (0, -signal.SIGINT) and not self.failure:
-                self._note_failure(node, code)
-
-    def _note_failure(self, node: str, code: int) -> None:
-        if code < 0:
-            self.failure = f'{node} was ended by {signal.Signals(-code).name}'
-            self.exit_code = 1
-            return
-        log = self._plan.folder / 'log' / f'{node}.log'
-        lines = [line for line in log.read_text(errors='replace').splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
-        reason = errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
-        self.failure = f'{node} ended with exit code {code}: {reason} (see {log})'
-        self.exit_code = code or 1
+@contextlib.contextmanager
+def _interrupts_wait():
+    """Let a SIGINT wait; for a process that is started now until it says that it can take one."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

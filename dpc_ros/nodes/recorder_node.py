@@ -29,6 +29,7 @@ from dpc_ros.bag import (
     VERSIONS_RECORD,
     BagWriter,
     Topic,
+    further_folder,
 )
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.machine import describe_machine
@@ -77,7 +78,8 @@ class RecorderNode(LoopNode):
     """Writes raw CDR bytes: nothing is deserialised, nothing is rounded.
 
     Topics of the loop are subscribed to before anyone publishes them, others as the graph shows
-    them. Told to stop, it takes what has been published up to then, and no more.
+    them. Told to stop, it takes what has been published up to then, and no more. Configured again,
+    it goes on in a further bag: `<bag>_1`, ….
     """
 
     acts_to_the_end = True
@@ -94,6 +96,7 @@ class RecorderNode(LoopNode):
         self._last_message = time.monotonic()
         self._end_ns: int | None = None  # what is published later is not recorded
         self._ended_at = 0.0
+        self._has_recorded = False
 
     def configure(self) -> None:
         settings = self.settings
@@ -106,13 +109,15 @@ class RecorderNode(LoopNode):
         parameters_file = settings['parameters_file']
         parameters = Path(parameters_file).read_text() if parameters_file else ''
         sections = read_sections(parameters, parameters_file) if parameters else {}
+        folder = Path(settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}')
         self._writer = BagWriter(
-            settings['bag'] or f'bag_{datetime.datetime.now():%Y%m%d_%H%M%S}',
+            further_folder(folder) if self._has_recorded else folder,
             ros_distro=ros_distribution(),
             chunk_size=settings['chunk_size'],
             split_size=settings['split_size'],
             split_duration_ns=round(settings['split_duration'] * NANOSECONDS),
         )
+        self._has_recorded = True
         self._writer.add_metadata(MACHINE_RECORD, describe_machine())
         self._writer.add_metadata(VERSIONS_RECORD, software_versions())
         self._writer.add_metadata(COMMAND_RECORD, commands())

@@ -36,10 +36,10 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(_INTERRUPTED)
     with StopRequest(namespace_arguments(plan)) as stop:
-        failure, code = run_processes(plan, stop)
+        outcome = run_processes(plan, stop)
         interrupted = bool(stop)
-    if failure:
-        sys.exit(_complain(failure, code))
+    if outcome.failure:
+        sys.exit(_complain(outcome.failure, outcome.exit_code))
     sys.exit(_INTERRUPTED if interrupted else 0)
 
 

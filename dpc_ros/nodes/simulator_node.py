@@ -10,6 +10,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
+from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -21,6 +22,7 @@ from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
+from dpc_ros.nodes.topics import Topic
 
 _RESET_LEAP = 2 * LONGEST_GAP  # s of the stamps, by which encoder and controller see a reset
 
@@ -65,7 +67,9 @@ class SimulatorNode(LoopNode):
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._configuration = self.create_output('configuration')
         self._clock_publisher = (
-            self.create_publisher(ClockMessage, '/clock', 1) if settings['publish_clock'] else None
+            self.create_output('/clock', Topic(ClockMessage, QoSProfile(depth=1)))
+            if settings['publish_clock']
+            else None
         )
         self.create_input('control_force', self._take_force)
         self.create_input('external_force', self._take_push)

@@ -43,6 +43,16 @@ class StopRequest:
         return self._asked or orphaned or not self.context.ok()
 
     def __enter__(self) -> StopRequest:
+        for number in _SIGNALS:
+            self._previous[number] = signal.signal(number, self._ask)
+        try:
+            self._initialize()
+        except ValueError:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def _initialize(self) -> None:
         try:
             others = remove_ros_args(['node', *self._arguments])[1:]
             rclpy.init(
@@ -54,14 +64,10 @@ class StopRequest:
         except RuntimeError as error:  # the base of what rclpy raises for bad arguments
             raise ValueError(f'ROS arguments: {str(error).splitlines()[0]}') from error
         if others:  # rclpy would pass over them without a word
-            self.context.shutdown()
             raise ValueError(
                 f'unknown arguments {" ".join(others)!r}: expected `--ros-args -p name:=value` or '
                 '`--ros-args --params-file file.yaml`; config/nodes/ lists the parameters'
             )
-        for number in _SIGNALS:
-            self._previous[number] = signal.signal(number, self._ask)
-        return self
 
     def __exit__(
         self,

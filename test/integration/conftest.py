@@ -115,10 +115,25 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
+    def shared_memory(self, process: int) -> set[Path]:
+        """Return what a process owns or has mapped, nothing if it has ended."""
+        try:
+            return held_shared_memory(process)
+        except OSError:
+            return set()
+
+    def without_owner(self, memory: set[Path]) -> set[Path]:
+        """Return what of some shared memory is left with no living owner, and not used here."""
+        used = owned_shared_memory() | held_shared_memory(os.getpid())
+        return {path for path in memory - used if path.exists()}
+
+    def will_leave_behind(self, process: int) -> None:
+        """Remember the shared memory that a process can't remove any more once it is killed."""
+        self.left_behind |= self.shared_memory(process)
+
     def kill(self, process: subprocess.Popen) -> None:
         """Kill a process, and remember the shared memory that it can't remove any more."""
-        with contextlib.suppress(OSError):  # it has ended by itself
-            self.left_behind |= held_shared_memory(process.pid)
+        self.will_leave_behind(process.pid)
         process.kill()
         process.wait()
         process.stdout.close()

@@ -1,0 +1,39 @@
+"""Where the programs of this package begin: a Ctrl-C ends each quietly from its first import on.
+
+The imports that follow take a second or more, and an interrupt in the middle of one can come out as
+any other error. Until a program has handlers of its own (`StopRequest`) there is nothing to put in
+order: it just ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from functools import partial
+from importlib import import_module
+
+_INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
+
+
+def end_quietly(program: str) -> None:
+    """Let a Ctrl-C end this process at once: a node is asked to by it, anything else interrupted.
+
+    One that came while signals were held back, as the launcher does while a node starts, counts.
+    """
+    code = 0 if program.endswith('_node') else _INTERRUPTED
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as a shell does in the background
+        signal.signal(signal.SIGINT, lambda number, frame: os._exit(code))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def _run(program: str) -> None:
+    end_quietly(program)
+    import_module(f'dpc_ros.nodes.{program}').main()
+
+
+simulator_node = partial(_run, 'simulator_node')
+encoder_node = partial(_run, 'encoder_node')
+controller_node = partial(_run, 'controller_node')
+recorder_node = partial(_run, 'recorder_node')
+player_node = partial(_run, 'player_node')
+launcher = partial(_run, 'launcher')

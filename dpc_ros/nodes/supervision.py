@@ -1,0 +1,109 @@
+"""What the launcher does about a node that has crashed, or that is heard no more."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from dpc_ros.nodes.health import PROCESS_READING
+from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+from dpc_ros.nodes.processes import NodeProcesses
+
+_HOPELESS = 3  # times the silence after which it is reported, then the node is started anew
+_LONGEST_LOOK = 0.5  # s between two looks that count as silence: for longer, nobody listened
+
+
+class Supervision:
+    """Starts nodes anew that have crashed, at most so many times in a run.
+
+    A node has crashed if it was ended by a signal, or by an error in it, or when it was silent on
+    /diagnostics for too long: that is reported first, and the node is killed if it stays so. It
+    can't be silent before it has reported once, so one that is starting has all the time it needs.
+    A node that ends with a reason of its own ends the run.
+
+    Args:
+        plan: what runs, how many restarts it may need and which silence is too long.
+        processes: the nodes.
+        node: of the launcher; it hears what the others report.
+        say: shows a line to the user.
+
+    Attributes:
+        failure: why the run can't go on; empty while it can.
+        exit_code: for it: that of a node that ended with a reason, else 1.
+    """
+
+    def __init__(
+        self,
+        plan: LaunchPlan,
+        processes: NodeProcesses,
+        node: Node,
+        say: Callable[[str], None],
+    ) -> None:
+        self._plan = plan
+        self._processes = processes
+        self._say = say
+        self._silent_for: dict[str, float] = {}  # s, by number of the process
+        self._reported: set[str] = set()  # processes whose silence was
+        self._looked_at = time.monotonic()
+        self.failure = ''
+        self.exit_code = 0
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 10)
+
+    def is_over(self) -> bool:
+        """See to the nodes; return whether the leader has come to its end, or the run failed."""
+        for node, code in self._processes.ended().items():
+            if node == self._plan.leader and code == 0:
+                return True
+            if not self._processes.has_crashed(node):
+                self._give_up(self._processes.describe_end(node), max(code, 1))
+                return True
+            self._restart(node, self._processes.describe_end(node))
+        now = time.monotonic()
+        elapsed, self._looked_at = min(now - self._looked_at, _LONGEST_LOOK), now
+        for process in self._silent_for:
+            self._silent_for[process] += elapsed
+        if self._plan.silence:
+            for node in self._plan.nodes:
+                self._judge(node)
+        return bool(self.failure)
+
+    def _judge(self, node: str) -> None:
+        process = str(self._processes.process_id(node))
+        silent_for = self._silent_for.get(process, 0.0)
+        if silent_for > _HOPELESS * self._plan.silence:
+            del self._silent_for[process]
+            self._processes.kill(node)
+            self._restart(node, f'{node} was killed: it has not reported for {silent_for:.0f} s')
+        elif silent_for > self._plan.silence and process not in self._reported:
+            self._reported.add(process)
+            self._say(f'{node} has not reported for {silent_for:.0f} s')
+        elif silent_for == 0.0 and process in self._reported:
+            self._reported.remove(process)
+            self._say(f'{node} reports again')
+
+    def _restart(self, node: str, why: str) -> None:
+        done = self._processes.restarts.total()
+        if done >= self._plan.restarts:
+            limit = f', and --restarts {self._plan.restarts} allows no more' if done else ''
+            self._give_up(why + limit, 1)
+            return
+        self._processes.restart(node)
+        consequence = ''
+        if node == RECORDER:
+            *_, before, after = self._processes.bags
+            consequence = f'; what follows is recorded in {after}, `dpc bag repair` mends {before}'
+        elif node == self._plan.leader:
+            consequence = '; the body begins again at rest, and its duration counts anew'
+        self._say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
+
+    def _give_up(self, why: str, exit_code: int) -> None:
+        self.failure, self.exit_code = why, exit_code
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            for reading in status.values:
+                if reading.key == PROCESS_READING:
+                    self._silent_for[reading.value] = 0.0
