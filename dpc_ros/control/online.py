@@ -63,14 +63,24 @@ class OnlineEncoder:
         velocity: Float[np.ndarray, ' n'],
         stamp: int,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s] at a stamp [ns]."""
-        latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
-            configuration, velocity, self._last_latent
-        )
+        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s] at a stamp [ns].
+
+        Raises:
+            ValueError: they are not finite; the next search begins where this one did.
+            Exception: whatever else an autoencoder of another package raises.
+        """
+        with np.errstate(all='ignore'):  # what is not finite is refused
+            latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
+                configuration, velocity, self._last_latent
+            )
+        _check_finite(latent, latent_velocity)
+        if self.observer is not None:
+            estimate = self.observer.estimate(latent, latent_velocity, stamp)
+            _check_finite(*estimate)
+        else:
+            estimate = latent, latent_velocity
         self._last_latent = latent
-        if self.observer is None:
-            return latent, latent_velocity
-        return self.observer.estimate(latent, latent_velocity, stamp)
+        return estimate
 
 
 class OnlineController:
@@ -154,6 +164,11 @@ def law_settings(parameters: Mapping[str, Any]) -> LawSettings:
     options = read_options(parameters['law_options'], 'law_options')
     numbers = {each.name for each in fields(LawSettings)} - {'options'}
     return LawSettings(**{name: parameters[name] for name in numbers}, options=options)
+
+
+def _check_finite(latent: np.ndarray, latent_velocity: np.ndarray) -> None:
+    if not (np.isfinite(latent).all() and np.isfinite(latent_velocity).all()):
+        raise ValueError('expected a finite latent state, got one that is not')
 
 
 def _make_observer(
