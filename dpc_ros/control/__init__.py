@@ -1,6 +1,7 @@
 """Control of the body through its latent coordinates."""
 
 from dpc_ros.control.answers import Answers
+from dpc_ros.control.background import BackgroundSolver
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
 from dpc_ros.control.delay import DelayMeter
 from dpc_ros.control.equilibrium import (
@@ -13,7 +14,7 @@ from dpc_ros.control.law import LONGEST_GAP, ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.online import OnlineController, OnlineEncoder
-from dpc_ros.control.registry import LAWS, check_law, make_law
+from dpc_ros.control.registry import LAW_PARAMETERS, LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.static_bound import (
@@ -26,8 +27,10 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'LAW_PARAMETERS',
     'LONGEST_GAP',
     'Answers',
+    'BackgroundSolver',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',

@@ -164,6 +164,14 @@ class ControlLaw(ABC):
         """Begin anew: forget what the law keeps between steps, but not its target."""
         self._last_stamp = None
 
+    def carry_on(self, before: ControlLaw) -> None:
+        """Take over from a law with other settings, of the same target, in the middle of a motion.
+
+        A law that keeps something between steps takes of it what still counts, so that the force
+        does not jump more than the settings ask for.
+        """
+        self._last_stamp = before._last_stamp
+
     def _target_latent(self, target: Target) -> Float[np.ndarray, ' m']:
         autoencoder = self.system.autoencoder
         target.check_sizes(autoencoder.configuration_size, autoencoder.latent_size)

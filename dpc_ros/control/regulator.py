@@ -143,6 +143,15 @@ class QuadraticRegulator(ControlLaw):
         self._constant = self._solution.feed_forward
         self._since_target = 0.0
 
+    def carry_on(self, before: ControlLaw) -> None:
+        super().carry_on(before)
+        if isinstance(before, QuadraticRegulator):
+            integral = before._constant - before.feed_forward
+            self._since_target = before._since_target
+            if integral.any():
+                largest = self.settings.largest_force
+                self._constant = shorten(self.feed_forward + integral, largest)
+
     def _equilibrium(
         self, target: Float[np.ndarray, ' n'], reduced: FeedForward | EquilibriumError
     ) -> StaticBound | None:
