@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -185,10 +185,9 @@ class OnlineController:
                 self._question = self._due(stamp)
                 if self._question is None:
                     return changes
-                if not self._knows(self._question):
+                if not self._known_answer(self._question):
                     self._solver.ask(self._question)
-            known = self._known if self._knows(self._question) else None
-            answer = known or self._solver.answer()
+            answer = self._known_answer(self._question) or self._solver.answer()
             if answer is None:
                 return changes
             self._question = None
@@ -229,11 +228,13 @@ class OnlineController:
         self.law, self.parameters = law, answer.question.parameters
         self._seen = self._target  # one that could not be used may be possible now
 
-    def _knows(self, question: Question) -> bool:
-        return self._known is not None and question.is_like(self._known.question)
+    def _known_answer(self, question: Question) -> Answer | None:
+        if self._known is None or not question.is_like(self._known.question):
+            return None
+        return replace(self._known, question=question)
 
     def _solve_now(self, question: Question) -> None:
-        if self._knows(question):
+        if self._known_answer(question):
             return
         self._solver.ask(question)
         answer = self._solver.wait()
