@@ -1,6 +1,7 @@
 """Control of the body through its latent coordinates."""
 
 from dpc_ros.control.answers import Answers
+from dpc_ros.control.background import BackgroundSolver
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
 from dpc_ros.control.controllers import Controllers
 from dpc_ros.control.delay import DelayMeter
@@ -15,7 +16,7 @@ from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.online import OnlineController, OnlineEncoder
 from dpc_ros.control.patience import Patience
-from dpc_ros.control.registry import LAWS, check_law, make_law
+from dpc_ros.control.registry import LAW_PARAMETERS, LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
 from dpc_ros.control.saturation import approach
 from dpc_ros.control.schedule import TargetSchedule
@@ -29,8 +30,10 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'LAW_PARAMETERS',
     'LONGEST_GAP',
     'Answers',
+    'BackgroundSolver',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from jaxtyping import Float
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import force_frame, read_force_frame
@@ -170,6 +173,29 @@ def read_target(
         return Target(latent=value) if latent else Target(configuration=value)
     except TargetError as error:
         raise MessageError(str(error)) from error
+
+
+def parameters_message(
+    node: str, stamp: Time, before: Mapping[str, Any], after: Mapping[str, Any]
+) -> ParameterEvent:
+    """Return what changes from a stamp on.
+
+    Args:
+        node: full name of the node.
+        stamp: of the first state that the parameters count for.
+        before: those in force until then, by name; what is not among them is new.
+        after: those in force from then on.
+    """
+    changed = {name: value for name, value in after.items() if before.get(name) != value}
+    messages = {
+        name: Parameter(name, value=value).to_parameter_msg() for name, value in changed.items()
+    }
+    return ParameterEvent(
+        stamp=stamp,
+        node=node,
+        new_parameters=[each for name, each in messages.items() if name not in before],
+        changed_parameters=[each for name, each in messages.items() if name in before],
+    )
 
 
 def _finite(values: array, size: int, what: str) -> np.ndarray:

@@ -33,7 +33,8 @@ from dpc_ros.nodes.message_definition import check_definition, find_message_clas
 from dpc_ros.nodes.messages import MessageError, read_stamp, to_stamp
 from dpc_ros.nodes.topics import LOOP_QOS, Topic
 
-_ANSWERS = ('latent_state', 'control_force', 'target_in_force')  # of the nodes that are replayed to
+# Of the nodes that are replayed to.
+_ANSWERS = ('latent_state', 'control_force', 'target_in_force', 'parameters_in_force')
 _CLOCK = '/clock'
 _MATCHING_PERIOD = 0.05  # s between two looks whether the expected nodes are there
 _BURST = 64  # messages that are due after which services are served

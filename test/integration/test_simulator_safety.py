@@ -217,8 +217,10 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     assert witness.call(Trigger, 'simulator/reset', Trigger.Request()).success
     leapt = len(witness.states)
     observer.wait(
-        lambda: max(np.diff([from_stamp(each.header.stamp) for each in witness.states])) > STEP
-        and len(witness.states) > leapt + 3,
+        lambda: (
+            max(np.diff([from_stamp(each.header.stamp) for each in witness.states])) > STEP
+            and len(witness.states) > leapt + 3
+        ),
         'states after the reset',
     )
     witness.push([3.0, 0.0], 'bbbb', stamp=newest)  # of before the reset

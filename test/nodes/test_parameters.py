@@ -5,8 +5,11 @@ import math
 import pytest
 from rclpy.parameter import Parameter
 
+from dpc_ros.control import LAW_PARAMETERS
+from dpc_ros.nodes.launch_plan import make_plan
 from dpc_ros.nodes.parameters import changed_settings
 from dpc_ros.parameters import KINDS, ParameterError, declarations, node_parameters
+from dpc_ros.resources import config_path
 
 NUMBERS = [
     (kind, declaration)
@@ -39,3 +42,17 @@ def test_one_bad_value_refuses_the_whole_set():
     for bad in (Parameter('encoder', value='none of them'), Parameter('delay', value='late')):
         with pytest.raises(ParameterError, match=f'{bad.name}: expected'):
             changed_settings('encoder', settings, [good, bad])
+
+
+def test_of_a_controller_all_that_its_law_depends_on_can_be_set_while_it_runs():
+    live = {name for name, each in declarations('controller').items() if each.live}
+    assert live == set(LAW_PARAMETERS)
+
+
+@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+def test_the_launcher_lets_the_controller_solve_in_the_background_in_realtime_only(tmp_path, mode):
+    made = make_plan(config_path('demo.yaml'), {'simulator': {'time_mode': mode}}, tmp_path / 'run')
+    assert made.parameters['controller']['solve_in_background'] == (mode == 'realtime')
+    given = {'simulator': {'time_mode': mode}, 'controller': {'solve_in_background': False}}
+    made = make_plan(config_path('demo.yaml'), given, tmp_path / 'run')
+    assert not made.parameters['controller']['solve_in_background']
