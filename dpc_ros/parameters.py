@@ -36,6 +36,7 @@ class Declaration:
     unit: str = ''
     range: tuple[float, float] | None = None
     options: tuple[str, ...] = ()
+    live: bool = False  # whether it can be set while the node runs
 
     def check(self, value: Any) -> Any:
         """Return the value, a whole number as a float where a double is meant.

@@ -13,10 +13,12 @@ import yaml
 from tqdm import tqdm
 
 from dpc_ros.bag.fields import fields, stamp_ns
+from dpc_ros.bag.force_frame import without_controller
 from dpc_ros.bag.mcap_file import Contents, Message, read_contents, read_messages
 from dpc_ros.bag.metadata import NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
 
 _PARAMETERS_KEY = 'ros__parameters'
+_FRAME = 'header.frame_id'
 _RECORDER = 'recorder'  # the node whose parameters say how a log is kept, not what ran
 
 _Key = tuple[int, ...]  # epoch, stamp [ns], number among those of the stamp; number in the topic
@@ -112,8 +114,9 @@ def compare(
 
     A message that says the one before again, bit for bit, is left out. Of the others those of the
     same epoch, header stamp and number among those of that stamp belong together; those without a
-    header are counted through. An epoch ends where a stamp falls back. One topic of the first log
-    at a time is held in memory.
+    header are counted through. An epoch ends where a stamp falls back. Which controller a force
+    comes from does not count: each process of one draws a new id. One topic of the first log at a
+    time is held in memory.
 
     Args:
         first: folder of a bag, or an MCAP file.
@@ -150,7 +153,7 @@ def _compare_topic(
         types=(contents[0].types.get(name, ''), contents[1].types.get(name, '')),
         messages=(contents[0].messages.get(name, 0), contents[1].messages.get(name, 0)),
     )
-    logged = {key: fields(message.content) for key, message in _distinct(paths[0], name)}
+    logged = {key: _fields(message) for key, message in _distinct(paths[0], name)}
     scales = _scales(logged.values())
     order = {key: index for index, key in enumerate(logged)}
     common = set()
@@ -160,7 +163,7 @@ def _compare_topic(
         if key not in logged:
             continue
         common.add(key)
-        found = _compare_message(logged[key], fields(message.content), scales, tolerance, result)
+        found = _compare_message(logged[key], _fields(message), scales, tolerance, result)
         if found is not None:
             result.different += 1
             if result.first is None or order[key] < result.first.index:
@@ -180,14 +183,29 @@ def _distinct(path: str | Path, topic: str) -> Iterator[tuple[_Key, Message]]:
         if stamp is None:
             yield (number,), message
             continue
-        if message.cdr == said:
+        saying = _said(message)
+        if saying == said:
             continue
         if stamp < last:
             epoch += 1
             counts.clear()
-        last, said = stamp, message.cdr
+        last, said = stamp, saying
         yield (epoch, stamp, counts[stamp]), message
         counts[stamp] += 1
+
+
+def _said(message: Message) -> bytes:
+    """Return the bytes of a message with a header without the controller that it names."""
+    frame_id = getattr(message.content.header, 'frame_id', '')
+    controller = frame_id.removeprefix(without_controller(frame_id))
+    return message.cdr.replace(controller.encode(), b'', 1) if controller else message.cdr
+
+
+def _fields(message: Message) -> dict[str, Any]:
+    found = fields(message.content)
+    if isinstance(found.get(_FRAME), str):
+        found[_FRAME] = without_controller(found[_FRAME])
+    return found
 
 
 def _scales(messages: Any) -> dict[str, float]:

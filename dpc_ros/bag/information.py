@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from dpc_ros.bag.force_frame import without_controller
 from dpc_ros.bag.header import Header, read_header, starts_with_header
 from dpc_ros.bag.mcap_file import Contents, RawMessage, read_contents, read_raw
 from dpc_ros.bag.metadata import LOSSES_RECORD
@@ -32,7 +33,8 @@ class TopicInformation:
             the numbers are not known.
         recorded_lost: messages that the recorder itself counted as lost, None where it did not say.
         repeats: messages whose stamp had been there before, None without a header.
-        frame_ids: number of messages with each frame_id; `<network>@<digest>` names a model.
+        frame_ids: number of messages with each frame_id; `<network>@<digest>` names a model,
+            `mass_162@<id>` a controller.
     """
 
     type_name: str
@@ -151,18 +153,26 @@ def information_table(information: Information) -> str:
         texts = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
         texts += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
         lines.append('  '.join(texts))
-    models = [
-        f'  {name}: {", ".join(sorted(frame for frame in topic.frame_ids if "@" in frame))}'
-        for name, topic in information.topics.items()
-        if any('@' in frame for frame in topic.frame_ids)
-    ]
-    lines += ['', 'models', *models] if models else []
+    for title, frames in (('models', _models), ('controllers', _controllers)):
+        found = {name: frames(topic) for name, topic in information.topics.items()}
+        shown = [f'  {name}: {", ".join(sorted(each))}' for name, each in found.items() if each]
+        lines += ['', title, *shown] if shown else []
     for record, content in contents.metadata.items():
         lines += ['', record, *(f'  {key}: {_brief(value)}' for key, value in content.items())]
     if contents.attachments:
         lines += ['', 'attachments']
         lines += [f'  {a.name}, {a.media_type}, {a.size} bytes' for a in contents.attachments]
     return '\n'.join(lines)
+
+
+def _models(topic: TopicInformation) -> list[str]:
+    """Return the frames that name a network or a checkpoint."""
+    return [frame for frame in topic.frame_ids if '@' in without_controller(frame)]
+
+
+def _controllers(topic: TopicInformation) -> list[str]:
+    """Return the frames that name the controller of a force."""
+    return [frame for frame in topic.frame_ids if frame != without_controller(frame)]
 
 
 def _row(name: str, topic: TopicInformation) -> tuple[str, ...]:

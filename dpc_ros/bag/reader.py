@@ -23,11 +23,13 @@ LATENT_PREFIX = 'xi_'  # how the names of latent coordinates start
 
 _JOINT_STATE = 'sensor_msgs/msg/JointState'
 _WRENCH = 'geometry_msgs/msg/WrenchStamped'
+_PARAMETERS = 'rcl_interfaces/msg/ParameterEvent'
 _TYPES = {
     'configuration': _JOINT_STATE,
     'latent_state': _JOINT_STATE,
     'target': _JOINT_STATE,
     'target_in_force': _JOINT_STATE,
+    'parameters_in_force': _PARAMETERS,
     'control_force': _WRENCH,
     'external_force': _WRENCH,
 }

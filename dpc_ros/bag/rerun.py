@@ -14,10 +14,9 @@ import numpy as np
 from tqdm import tqdm
 
 from dpc_ros.bag.metadata import MACHINE_RECORD, NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
-from dpc_ros.bag.reader import Target as LoggedTarget
 from dpc_ros.bag.signals import Announcement, Deviation, Key, Signals, deviation, read_signals
 from dpc_ros.bag.splits import BagError
-from dpc_ros.control import Answers, OnlineController, OnlineEncoder, Target
+from dpc_ros.control import Answers, OnlineController, OnlineEncoder, Target, TargetError
 from dpc_ros.machine import describe_machine
 from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 from dpc_ros.threads import single_threaded_algebra
@@ -90,9 +89,12 @@ def rerun(
     notes = parameter_notes(signals) + _check_models(signals, encoder, controller, overrides)
     if parameters['encoder']['measure_delay']:
         notes += ('the log does not say the delays that were measured: none is foreseen',)
+    kept = overrides.get('controller', {})
     with single_threaded_algebra():
         latents = _encode(signals, encoder, progress)
-        forces, problems = _control(signals, controller, latents, progress)
+        forces, problems = _control(
+            signals, controller, parameters['controller'], kept, latents, progress
+        )
     repeated = {
         'latent': {key: latent for key, (latent, _) in latents.items()},
         'latent_velocity': {key: velocity for key, (_, velocity) in latents.items()},
@@ -293,11 +295,24 @@ def _encode(
 def _control(
     signals: Signals,
     controller: OnlineController,
+    parameters: Mapping[str, Any],
+    kept: Mapping[str, Any],
     latents: Mapping[Key, tuple[np.ndarray, np.ndarray]],
     progress: bool,
 ) -> tuple[dict[Key, np.ndarray], tuple[str, ...]]:
+    """Return the forces, with what went wrong on the way.
+
+    Args:
+        signals: of the log.
+        controller: that answers.
+        parameters: of the controller, until the log says that others came in force.
+        kept: those of them that stay, whatever the log says.
+        latents: what is answered.
+        progress: show a bar.
+    """
     forces: dict[Key, np.ndarray] = {}
     problems: dict[str, None] = {}
+    changes = list(signals.parameters)
     due = list(signals.in_force or _targets_as_sent(signals))
     controller.restart()
     epoch = 0
@@ -308,16 +323,26 @@ def _control(
         elif sample.from_restarted:
             controller.restart()
         epoch = key[0]
+        while changes and changes[0].publish_ns <= sample.publish_ns:
+            parameters = node_parameters('controller', parameters, changes.pop(0).values, kept)
+            controller.change(parameters)
+        while due and due[0].publish_ns <= sample.publish_ns:
+            target = due.pop(0).target
+            try:
+                controller.add_target(target.stamp_ns, Target(target.configuration, target.latent))
+            except TargetError as error:
+                problems[f'target or control law: {error}'] = None
+        if key not in latents:
+            continue
+        for change in controller.bring_in_force(key[1]):
+            if change.problem:
+                problems[f'target or control law: {change.problem}'] = None
+        if not controller.has_target:
+            continue
         try:
-            while due and due[0].publish_ns <= sample.publish_ns:
-                target = due.pop(0).target
-                controller.add_target(target.stamp_ns, _as_target(target))
-            if key not in latents:
-                continue
-            controller.regulate(key[1])
-            if controller.has_target:
-                forces[key] = controller.force(*latents[key], key[1])
+            forces[key] = controller.force(*latents[key], key[1])
         except Exception as error:  # whatever goes wrong in a law that is not ours
+            forces[key] = np.zeros(2)  # as the node commands then
             problems[f'target or control law: {error}'] = None
     return forces, tuple(problems)
 
@@ -326,10 +351,6 @@ def _targets_as_sent(signals: Signals) -> Iterator[Announcement]:
     """Return the targets of a log without `target_in_force`, the first in time for all forces."""
     for place, each in enumerate(signals.targets):
         yield each if place else Announcement(each.target, 0)
-
-
-def _as_target(logged: LoggedTarget) -> Target:
-    return Target(configuration=logged.configuration, latent=logged.latent)
 
 
 def _shown(keys: Mapping[Key, Any], what: str, progress: bool) -> Iterator[Key]:

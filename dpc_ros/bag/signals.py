@@ -12,6 +12,7 @@ import numpy as np
 from dpc_ros.bag.mcap_file import Message, read_contents, read_messages
 from dpc_ros.bag.reader import Target, check_types, choose_namespace, read_target, stamp_of
 
+_PARAMETERS_TOPIC = 'parameters_in_force'
 _EMPTY = np.zeros(0)
 
 Key = tuple[int, int]  # epoch, stamp [ns]
@@ -81,6 +82,19 @@ class Announcement:
 
 
 @dataclass(frozen=True, eq=False)
+class ParameterChange:
+    """Parameters of the controller that came in force.
+
+    Attributes:
+        values: by name.
+        publish_ns: when the controller said so [ns since the epoch].
+    """
+
+    values: Mapping[str, Any]
+    publish_ns: int
+
+
+@dataclass(frozen=True, eq=False)
 class Signals:
     """What a log holds of a loop.
 
@@ -92,6 +106,7 @@ class Signals:
         force: (u,).
         targets: in the order in which they were sent.
         in_force: those that the controller announced as in force, likewise.
+        parameters: what the controller announced as in force, likewise.
         metadata: the bag's records of keys and values, by name.
     """
 
@@ -102,6 +117,7 @@ class Signals:
     force: Signal
     targets: tuple[Announcement, ...]
     in_force: tuple[Announcement, ...]
+    parameters: tuple[ParameterChange, ...]
     metadata: Mapping[str, Mapping[str, str]]
 
     def columns(self) -> dict[str, dict[Key, np.ndarray]]:
@@ -163,11 +179,16 @@ def read_signals(path: str | Path, namespace: str | None = None) -> Signals:
     check_types(path, contents, namespace)
     signals = {name: Signal() for name in _VALUES}
     targets: dict[str, list[Announcement]] = {'target': [], 'target_in_force': []}
-    topics = [f'{namespace}/{name}' for name in (*signals, *targets)]
+    parameters: list[ParameterChange] = []
+    names = (*signals, *targets, _PARAMETERS_TOPIC)
+    topics = [f'{namespace}/{name}' for name in names]
     for message in read_messages(path, topics):
         name = message.topic.rpartition('/')[2]
         if name in signals:
             signals[name].add(message, _VALUES[name](message.content))
+        elif name == _PARAMETERS_TOPIC:
+            change = ParameterChange(_parameters(message.content), message.publish_time_ns)
+            parameters.append(change)
         else:
             target = read_target(message.content)
             targets[name].append(Announcement(target, message.publish_time_ns))
@@ -180,6 +201,7 @@ def read_signals(path: str | Path, namespace: str | None = None) -> Signals:
         force=signals['control_force'],
         targets=tuple(sent['target']),
         in_force=tuple(sent['target_in_force']),
+        parameters=tuple(sorted(parameters, key=lambda one: one.publish_ns)),
         metadata=contents.metadata,
     )
 
@@ -222,6 +244,15 @@ def _state(content: Any) -> tuple[np.ndarray, ...]:
 def _force(content: Any) -> tuple[np.ndarray, ...]:
     return (np.array([content.wrench.force.x, content.wrench.force.y]),)
 
+
+def _parameters(content: Any) -> dict[str, Any]:
+    """Return the values of a decoded rcl_interfaces/msg/ParameterEvent by name."""
+    given = (*content.new_parameters, *content.changed_parameters)
+    return {each.name: getattr(each.value, _FIELDS[each.value.type]) for each in given}
+
+
+# Where a rcl_interfaces/msg/ParameterValue keeps a value, by its type.
+_FIELDS = {1: 'bool_value', 2: 'integer_value', 3: 'double_value', 4: 'string_value'}
 
 _VALUES: dict[str, Callable[[Any], tuple[np.ndarray, ...]]] = {
     'configuration': _state,

@@ -1,7 +1,9 @@
 """Control of the body through its latent coordinates."""
 
 from dpc_ros.control.answers import Answers
+from dpc_ros.control.background import BackgroundSolver
 from dpc_ros.control.closed_loop import ClosedLoopRun, Imperfections, run_closed_loop
+from dpc_ros.control.controllers import Controllers
 from dpc_ros.control.delay import DelayMeter
 from dpc_ros.control.equilibrium import (
     EquilibriumError,
@@ -13,8 +15,10 @@ from dpc_ros.control.law import LONGEST_GAP, ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.observer import LatentObserver, ObserverSettings
 from dpc_ros.control.online import OnlineController, OnlineEncoder
-from dpc_ros.control.registry import LAWS, check_law, make_law
+from dpc_ros.control.patience import Patience
+from dpc_ros.control.registry import LAW_PARAMETERS, LAWS, check_law, make_law
 from dpc_ros.control.regulator import QuadraticRegulator
+from dpc_ros.control.saturation import approach
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.static_bound import (
     ConstantForce,
@@ -26,11 +30,14 @@ from dpc_ros.control.targets import Target, TargetError, load_target
 
 __all__ = [
     'LAWS',
+    'LAW_PARAMETERS',
     'LONGEST_GAP',
     'Answers',
+    'BackgroundSolver',
     'ClosedLoopRun',
     'ConstantForce',
     'ControlLaw',
+    'Controllers',
     'DelayMeter',
     'EquilibriumError',
     'FeedForward',
@@ -41,6 +48,7 @@ __all__ = [
     'OnlineController',
     'OnlineEncoder',
     'PaperLaw',
+    'Patience',
     'QuadraticRegulator',
     'ReducedEquilibriumLaw',
     'StaticBound',
@@ -48,6 +56,7 @@ __all__ = [
     'TargetError',
     'TargetSchedule',
     'TransposeLaw',
+    'approach',
     'check_law',
     'feed_forward',
     'load_target',

@@ -13,11 +13,12 @@ class Answers:
     """Remembers the newest question with its stamp and answer; sees when stamps begin anew.
 
     Stamps of one simulator rise for ever, and a reliable connection keeps their order. A stamp that
-    falls back therefore means that another simulator has begun: a new epoch.
+    falls back therefore means that another simulator has begun: a new epoch. None is too old.
     """
 
     def __init__(self) -> None:
         self._stamp = -1
+        self._former = -1
         self._question: Any = None
         self._answer: Any = None
 
@@ -25,6 +26,10 @@ class Answers:
     def newest(self) -> tuple[int, Any]:
         """Stamp [ns] and content of the last answer; −1 and none before the first."""
         return self._stamp, self._answer
+
+    def is_of_former_epoch(self, stamp: int) -> bool:
+        """Return whether a stamp [ns] is of no question so far but may be of the epoch before."""
+        return self._stamp < stamp <= self._former
 
     def repeated(self, stamp: int, question: Any) -> Any:
         """Return the answer already given to the same question at the same stamp [ns], or none."""
@@ -43,6 +48,8 @@ class Answers:
 
     def remember(self, stamp: int, question: Any, answer: Any) -> None:
         """Keep the answer to a question at a stamp [ns] as the newest."""
+        if self.starts_epoch(stamp):
+            self._former = self._stamp
         self._stamp = stamp
         self._question = question
         self._answer = answer

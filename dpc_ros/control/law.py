@@ -85,14 +85,33 @@ class ControlLaw(ABC):
         self.excess = np.zeros(2)  # what the last force was shortened by [N]
         self._last_stamp: int | None = None
 
-    @abstractmethod
     def regulate(self, target: Target) -> None:
-        """Take a new target; whatever is slow happens here, not in `force`.
+        """Take a new target: solve for it, and adopt the solution.
 
         Raises:
             TargetError: its length does not fit.
             EquilibriumError: the law rests on an equilibrium, and there is none for it.
         """
+        self.adopt(self.solve(target))
+
+    @abstractmethod
+    def solve(self, target: Target) -> Any:
+        """Return what the law has to know to regulate to a target; whatever is slow happens here.
+
+        It changes nothing of the law, and depends on nothing but its system, its settings and the
+        target: another process may have solved.
+
+        Returns:
+            something that can be pickled, of this package a frozen dataclass of arrays.
+
+        Raises:
+            TargetError: the target's length does not fit.
+            EquilibriumError: the law rests on an equilibrium, and there is none for it.
+        """
+
+    @abstractmethod
+    def adopt(self, solution: Any) -> None:
+        """Regulate from now on to the target of a solution that `solve` has returned; quick."""
 
     @abstractmethod
     def unbounded_force(
@@ -144,6 +163,14 @@ class ControlLaw(ABC):
     def restart(self) -> None:
         """Begin anew: forget what the law keeps between steps, but not its target."""
         self._last_stamp = None
+
+    def carry_on(self, before: ControlLaw) -> None:
+        """Take over from a law with other settings, of the same target, in the middle of a motion.
+
+        A law that keeps something between steps takes of it what still counts, so that the force
+        does not jump more than the settings ask for.
+        """
+        self._last_stamp = before._last_stamp
 
     def _target_latent(self, target: Target) -> Float[np.ndarray, ' m']:
         autoencoder = self.system.autoencoder

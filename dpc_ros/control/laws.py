@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
@@ -9,6 +11,36 @@ from dpc_ros.control.equilibrium import EquilibriumError, feed_forward
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
+
+
+@dataclass(frozen=True, eq=False)
+class PaperSolution:
+    """What the paper's law knows of a target.
+
+    Attributes:
+        target: ξ̄.
+        gradient: ∇V_η(ξ̄) [N].
+        left_inverse: Γ⁺(ξ̄).
+    """
+
+    target: Float[np.ndarray, ' m']
+    gradient: Float[np.ndarray, ' m']
+    left_inverse: Float[np.ndarray, '2 m']
+
+
+@dataclass(frozen=True, eq=False)
+class RestingForce:
+    """A force, the latent state that it holds the body at, and how a force acts there.
+
+    Attributes:
+        target: ξ*.
+        feed_forward: u* [N].
+        input_field: Γ(ξ*).
+    """
+
+    target: Float[np.ndarray, ' m']
+    feed_forward: Float[np.ndarray, ' 2']
+    input_field: Float[np.ndarray, 'm 2']
 
 
 class PaperLaw(ControlLaw):
@@ -20,25 +52,26 @@ class PaperLaw(ControlLaw):
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
         super().__init__(system, settings)
-        self._target = np.zeros(system.latent_size)
-        self._gradient = np.zeros(system.latent_size)
-        self._left_inverse = np.zeros((2, system.latent_size))
+        m = system.latent_size
+        self._solution = PaperSolution(np.zeros(m), np.zeros(m), np.zeros((2, m)))
 
-    def regulate(self, target: Target) -> None:
+    def solve(self, target: Target) -> PaperSolution:
         latent = self._target_latent(target)
         field = self.system.input_field(latent)
-        self._left_inverse = damped_left_inverse(field, self.settings.inverse_damping)
-        self._gradient = self.system.potential_gradient(latent)
-        self._target = latent
+        inverse = damped_left_inverse(field, self.settings.inverse_damping)
+        return PaperSolution(latent, self.system.potential_gradient(latent), inverse)
+
+    def adopt(self, solution: PaperSolution) -> None:
+        self._solution = solution
 
     def unbounded_force(
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
     ) -> Float[np.ndarray, ' 2']:
-        settings = self.settings
+        settings, solution = self.settings, self._solution
         momentum = self.system.mass_matrix(latent) @ latent_velocity
-        feedback = settings.proportional_gain * (self._target - latent)
+        feedback = settings.proportional_gain * (solution.target - latent)
         feedback = feedback - settings.derivative_gain * momentum
-        return self._left_inverse @ (self._gradient + feedback)
+        return solution.left_inverse @ (solution.gradient + feedback)
 
 
 class _TransposeFeedback(ControlLaw):
@@ -50,17 +83,19 @@ class _TransposeFeedback(ControlLaw):
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
         super().__init__(system, settings)
-        self._target = np.zeros(system.latent_size)
-        self._feed_forward = np.zeros(2)
-        self._input_field = np.zeros((system.latent_size, 2))
+        m = system.latent_size
+        self._solution = RestingForce(np.zeros(m), np.zeros(2), np.zeros((m, 2)))
+
+    def adopt(self, solution: RestingForce) -> None:
+        self._solution = solution
 
     def unbounded_force(
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
     ) -> Float[np.ndarray, ' 2']:
-        settings = self.settings
-        feedback = settings.proportional_gain * (self._target - latent)
+        settings, solution = self.settings, self._solution
+        feedback = settings.proportional_gain * (solution.target - latent)
         feedback = feedback - settings.derivative_gain * latent_velocity
-        return self._feed_forward + self._input_field.T @ feedback
+        return solution.feed_forward + solution.input_field.T @ feedback
 
 
 class TransposeLaw(_TransposeFeedback):
@@ -69,12 +104,11 @@ class TransposeLaw(_TransposeFeedback):
     The feed-forward is the paper's, with the damped left inverse.
     """
 
-    def regulate(self, target: Target) -> None:
+    def solve(self, target: Target) -> RestingForce:
         latent = self._target_latent(target)
         field = self.system.input_field(latent)
         inverse = damped_left_inverse(field, self.settings.inverse_damping)
-        self._feed_forward = inverse @ self.system.potential_gradient(latent)
-        self._target, self._input_field = latent, field
+        return RestingForce(latent, inverse @ self.system.potential_gradient(latent), field)
 
 
 class ReducedEquilibriumLaw(_TransposeFeedback):
@@ -84,12 +118,10 @@ class ReducedEquilibriumLaw(_TransposeFeedback):
     target (docs/control.md); it exists for every m.
     """
 
-    def regulate(self, target: Target) -> None:
+    def solve(self, target: Target) -> RestingForce:
         configuration = self._target_configuration(target)
-        solution = feed_forward(self.system, configuration, self.settings.largest_force)
-        self._target = solution.latent
-        self._feed_forward = solution.force
-        self._input_field = self.system.input_field(solution.latent)
+        found = feed_forward(self.system, configuration, self.settings.largest_force)
+        return RestingForce(found.latent, found.force, self.system.input_field(found.latent))
 
 
 def damped_left_inverse(

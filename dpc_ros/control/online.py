@@ -7,20 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint, with_encoder
-from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.law import ControlLaw
 from dpc_ros.control.observer import LatentObserver, ObserverSettings
-from dpc_ros.control.registry import make_law
+from dpc_ros.control.registry import LAW_PARAMETERS, law_of_parameters
 from dpc_ros.control.schedule import TargetSchedule
+from dpc_ros.control.solver import Answer, Question, Solver, SolverHere
 from dpc_ros.control.targets import Target
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
-from dpc_ros.parameters import ParameterError, read_options
+from dpc_ros.parameters import ParameterError
 from dpc_ros.reduction import CompressedSystem
 
 
@@ -64,66 +65,118 @@ class OnlineEncoder:
         velocity: Float[np.ndarray, ' n'],
         stamp: int,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s] at a stamp [ns]."""
-        latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
-            configuration, velocity, self._last_latent
-        )
+        """Return ξ and ξ̇ of the next configuration [m] and its velocity [m/s] at a stamp [ns].
+
+        Raises:
+            ValueError: they are not finite; the next search begins where this one did.
+            Exception: whatever else an autoencoder of another package raises.
+        """
+        with np.errstate(all='ignore'):  # what is not finite is refused
+            latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
+                configuration, velocity, self._last_latent
+            )
+        _check_finite(latent, latent_velocity)
+        if self.observer is not None:
+            estimate = self.observer.estimate(latent, latent_velocity, stamp)
+            _check_finite(*estimate)
+        else:
+            estimate = latent, latent_velocity
         self._last_latent = latent
-        if self.observer is None:
-            return latent, latent_velocity
-        return self.observer.estimate(latent, latent_velocity, stamp)
+        return estimate
+
+
+@dataclass(frozen=True)
+class Change:
+    """Something new that a controller has brought in force, or why it could not.
+
+    Attributes:
+        target: which it is, or None where it is the law's parameters.
+        problem: why the law in force stays as it was; empty where it is the new one.
+    """
+
+    target: Target | None = None
+    problem: str = ''
 
 
 class OnlineController:
-    """A control law and the targets that it is given, each from a stamp on.
+    """A control law, with the targets and the parameters that it is given while it runs.
+
+    What is new is solved for, and counts from a stamp on: parameters first, for the target in
+    force; then the newest target that is due, for the parameters in force. Where another process
+    solves, the law in force goes on meanwhile; of what comes meanwhile only the newest is solved.
 
     Args:
         parameters: of the controller node, by name.
+        solver: who solves; this process where left out.
 
     Attributes:
-        law: the control law.
-        has_target: whether the law has ever had a target that it can use.
+        law: the control law in force.
+        parameters: those in force, of `LAW_PARAMETERS`.
+        wanted: those that are to be, as soon as they are solved for; the same where none are.
 
     Raises:
         FileNotFoundError: there is no such network or checkpoint.
         ValueError: a parameter, or a checkpoint of another network.
     """
 
-    def __init__(self, parameters: Mapping[str, Any]) -> None:
-        self.network, self.checkpoint, autoencoder = _load_models(parameters)
-        gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
-        system = CompressedSystem(
-            Mechanics(self.network, gravity), autoencoder, parameters['actuated_mass']
-        )
-        self.law: ControlLaw = make_law(parameters['law'], system, law_settings(parameters))
-        self.has_target = False
+    def __init__(self, parameters: Mapping[str, Any], solver: Solver | None = None) -> None:
+        self.network, self.checkpoint, self._system = load_system(parameters)
+        self.parameters: Mapping[str, Any] = _of_law(parameters)
+        self.wanted: Mapping[str, Any] = self.parameters
+        self.law: ControlLaw = law_of_parameters(self.parameters, self._system)
+        self._solver = solver or SolverHere(self._system)
         self._schedule = TargetSchedule()
-        self._seen: Target | None = None
-        self._prepared: Target | None = None
-        self._parameters = parameters
+        self._target: Target | None = None  # of the law in force
+        self._seen: Target | None = None  # that has been asked for last
+        self._question: Question | None = None  # that is being solved
+        self._known: Answer | None = None  # the last one that was solved
 
-    def warm_up(self) -> None:
-        """Compile what compiles at its first call, with a law of the same kind."""
-        system = self.law.system
-        law = make_law(self._parameters['law'], system, law_settings(self._parameters))
-        rest = self.network.rest_configuration
-        latent = system.autoencoder.encode(rest)
-        with suppress(Exception):  # whether it can regulate to rest does not matter
-            law.regulate(Target(configuration=rest))
-            law.force(latent, np.zeros_like(latent))
-
-    def prepare(self, target: Target) -> None:
-        """Give the law the target that is to come first; once it has come nothing is left to solve.
-
-        Raises:
-            Exception: whatever the law raises.
-        """
-        self.law.regulate(target)
-        self._prepared = target
+    @property
+    def has_target(self) -> bool:
+        """Whether the law has ever had a target that it can use."""
+        return self._target is not None
 
     def add_target(self, stamp: int, target: Target) -> None:
         """Take a target that counts from a stamp [ns] on; zero means at once."""
         self._schedule.add(stamp, target)
+
+    def prepare(self, target: Target) -> None:
+        """Solve for a target before it is in force, and warm up; blocks until that is done.
+
+        Raises:
+            ValueError: the law can't use the target.
+        """
+        self._solve_now(Question(self.wanted, target))
+
+    def warm_up(self) -> None:
+        """Compile what compiles at its first call; block until the solver is ready.
+
+        Raises:
+            ValueError: the solver can't be started.
+        """
+        self._solve_now(Question(self.wanted, None))
+        with suppress(ValueError):  # which targets are possible is no matter here
+            self.prepare(Target(configuration=self.network.rest_configuration))
+
+    def check(self, parameters: Mapping[str, Any]) -> None:
+        """Make sure that the law of other parameters can be made.
+
+        A solver in this process solves for the target in force, too. Another process takes its
+        time: what it finds, `bring_in_force` tells.
+
+        Raises:
+            ValueError: it can't.
+        """
+        wanted = _of_law(parameters)
+        if wanted == self.wanted:
+            return
+        law_of_parameters(wanted, self._system)
+        if self._solver.is_here:
+            self._solve_now(Question(wanted, self._target))
+
+    def change(self, parameters: Mapping[str, Any]) -> None:
+        """Take other parameters, which count as soon as they are solved for."""
+        self.wanted = _of_law(parameters)
 
     def restart(self) -> None:
         """Begin anew with a law that keeps nothing of before."""
@@ -134,21 +187,70 @@ class OnlineController:
         self._schedule.restart()
         self.restart()
 
-    def regulate(self, stamp: int) -> Target | None:
-        """Give the law the target in force at a stamp [ns]; return it where it is new, else none.
+    def bring_in_force(self, stamp: int) -> list[Change]:
+        """Let the law of a stamp [ns] be the one of what is due and solved; return what is new."""
+        changes: list[Change] = []
+        while True:
+            if self._question is None:
+                self._question = self._due(stamp)
+                if self._question is None:
+                    return changes
+                if not self._known_answer(self._question):
+                    self._solver.ask(self._question)
+            answer = self._known_answer(self._question) or self._solver.answer()
+            if answer is None:
+                return changes
+            self._question = None
+            changes.append(self._adopt(answer))
 
-        Raises:
-            Exception: whatever the law raises; the one that it had before stays in force.
-        """
+    def _due(self, stamp: int) -> Question | None:
+        """Return what is to be solved next, if there is anything."""
+        if self.wanted != self.parameters:
+            return Question(self.wanted, self._target)
         target = self._schedule.in_force(stamp)
         if target is None or target is self._seen:
             return None
         self._seen = target
-        prepared, self._prepared = self._prepared, None
-        if prepared is None or not prepared.is_same(target):
-            self.law.regulate(target)
-        self.has_target = True
-        return target
+        return Question(self.parameters, target)
+
+    def _adopt(self, answer: Answer) -> Change:
+        question, problem = answer.question, answer.problem
+        is_target = question.parameters == self.parameters
+        if not problem:
+            try:
+                self._adopt_target(answer) if is_target else self._adopt_parameters(answer)
+                self._known = answer
+            except Exception as error:  # whatever goes wrong in a law that is not ours
+                problem = str(error)
+        if problem and self.wanted == question.parameters:
+            self.wanted = self.parameters
+        return Change(question.target if is_target else None, problem)
+
+    def _adopt_target(self, answer: Answer) -> None:
+        self.law.adopt(answer.solution)
+        self._target = answer.question.target
+
+    def _adopt_parameters(self, answer: Answer) -> None:
+        law = law_of_parameters(answer.question.parameters, self._system)
+        if answer.question.target is not None:
+            law.adopt(answer.solution)
+        law.carry_on(self.law)
+        self.law, self.parameters = law, answer.question.parameters
+        self._seen = self._target  # one that could not be used may be possible now
+
+    def _known_answer(self, question: Question) -> Answer | None:
+        if self._known is None or not question.is_like(self._known.question):
+            return None
+        return replace(self._known, question=question)
+
+    def _solve_now(self, question: Question) -> None:
+        if self._known_answer(question):
+            return
+        self._solver.ask(question)
+        answer = self._solver.wait()
+        if answer.problem:
+            raise ValueError(answer.problem)
+        self._known = answer
 
     def force(
         self,
@@ -168,16 +270,32 @@ class OnlineController:
         return force
 
 
-def law_settings(parameters: Mapping[str, Any]) -> LawSettings:
-    """Return what a controller's parameters say about its law: they have the names of its fields.
+def load_system(
+    parameters: Mapping[str, Any],
+) -> tuple[MassSpringNetwork, Checkpoint, CompressedSystem]:
+    """Return network, checkpoint and compressed system that a controller's parameters name.
 
     Raises:
-        ParameterError: the options are no YAML of names and values.
-        ValueError: a number is out of its range.
+        FileNotFoundError: there is no such network or checkpoint.
+        ValueError: a parameter, or a checkpoint of another network.
     """
-    options = read_options(parameters['law_options'], 'law_options')
-    numbers = {each.name for each in fields(LawSettings)} - {'options'}
-    return LawSettings(**{name: parameters[name] for name in numbers}, options=options)
+    network, checkpoint, autoencoder = _load_models(parameters)
+    gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
+    mechanics = Mechanics(network, gravity)
+    return (
+        network,
+        checkpoint,
+        CompressedSystem(mechanics, autoencoder, parameters['actuated_mass']),
+    )
+
+
+def _of_law(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: parameters[name] for name in LAW_PARAMETERS}
+
+
+def _check_finite(latent: np.ndarray, latent_velocity: np.ndarray) -> None:
+    if not (np.isfinite(latent).all() and np.isfinite(latent_velocity).all()):
+        raise ValueError('expected a finite latent state, got one that is not')
 
 
 def _make_observer(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from dpc_ros.control.law import ControlLaw, LawSettings
 from dpc_ros.control.laws import PaperLaw, ReducedEquilibriumLaw, TransposeLaw
 from dpc_ros.control.regulator import QuadraticRegulator
+from dpc_ros.parameters import read_options
 from dpc_ros.reduction import CompressedSystem
 
 ENTRY_POINT_GROUP = 'dpc_ros.control_laws'
@@ -18,6 +21,9 @@ LAWS: dict[str, type[ControlLaw]] = {
     'transpose': TransposeLaw,
     'paper': PaperLaw,
 }
+
+_NUMBERS = tuple(each.name for each in fields(LawSettings) if each.name != 'options')
+LAW_PARAMETERS = ('law', 'law_options', *_NUMBERS)  # of a controller, that its law depends on
 
 
 def make_law(
@@ -51,6 +57,18 @@ def make_law(
     if not isinstance(made, ControlLaw):
         raise ValueError(f'control law {name!r}: expected a ControlLaw, got {type(made).__name__}')
     return made
+
+
+def law_of_parameters(parameters: Mapping[str, Any], system: CompressedSystem) -> ControlLaw:
+    """Return the law that a controller's parameters, those in `LAW_PARAMETERS`, ask for.
+
+    Raises:
+        ParameterError: the options are no YAML of names and values.
+        ValueError: a number is out of its range, or the law can't be made.
+    """
+    options = read_options(parameters['law_options'], 'law_options')
+    settings = LawSettings(**{name: parameters[name] for name in _NUMBERS}, options=options)
+    return make_law(parameters['law'], system, settings)
 
 
 def law_names() -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,29 @@ from dpc_ros.reduction import CompressedSystem
 _LEAST_WEIGHT = 1e-9  # of each latent and its velocity, so that every mode is observed
 
 
+@dataclass(frozen=True, eq=False)
+class RegulatorSolution:
+    """What the regulator knows of a target.
+
+    Attributes:
+        target: ξ*.
+        feed_forward: u* [N].
+        goal: D(ξ*) [m].
+        latent_gain: K_p.
+        velocity_gain: K_d + cΓ*ᵀ.
+        slope: S.
+        integrator: (S̃ᵀS̃)⁻¹S̃ᵀ.
+    """
+
+    target: Float[np.ndarray, ' m']
+    feed_forward: Float[np.ndarray, ' 2']
+    goal: Float[np.ndarray, ' n']
+    latent_gain: Float[np.ndarray, '2 m']
+    velocity_gain: Float[np.ndarray, '2 m']
+    slope: Float[np.ndarray, 'm 2']
+    integrator: Float[np.ndarray, '2 n']
+
+
 class QuadraticRegulator(ControlLaw):
     """u = u* + v + K_p(ξ* + Sv − ξ) − (K_d + cΓ*ᵀ)ξ̇, with gains of a latent Riccati equation.
 
@@ -39,23 +63,20 @@ class QuadraticRegulator(ControlLaw):
 
     def __init__(self, system: CompressedSystem, settings: LawSettings) -> None:
         super().__init__(system, settings)
-        m = system.latent_size
-        self._target = np.zeros(m)
-        self._feed_forward = np.zeros(2)
-        self._latent_gain = np.zeros((2, m))
-        self._velocity_gain = np.zeros((2, m))
-        self._slope = np.zeros((m, 2))
-        self._integrator: np.ndarray = np.zeros((2, system.autoencoder.configuration_size))
-        self._goal = np.zeros(system.autoencoder.configuration_size)
+        m, n = system.latent_size, system.autoencoder.configuration_size
+        gain = np.zeros((2, m))
+        self._solution = RegulatorSolution(
+            np.zeros(m), np.zeros(2), np.zeros(n), gain, gain, np.zeros((m, 2)), np.zeros((2, n))
+        )
         self._constant = np.zeros(2)  # u* + v
         self._since_target = 0.0
 
     @property
     def feed_forward(self) -> Float[np.ndarray, ' 2']:
         """The constant force u* of the target [N]."""
-        return self._feed_forward
+        return self._solution.feed_forward
 
-    def regulate(self, target: Target) -> None:
+    def solve(self, target: Target) -> RegulatorSolution:
         configuration = self._target_configuration(target)
         settings, system = self.settings, self.system
         autoencoder, mechanics = system.autoencoder, system.mechanics
@@ -83,34 +104,53 @@ class QuadraticRegulator(ControlLaw):
         except np.linalg.LinAlgError as error:
             raise EquilibriumError(f'no regulator about the equilibrium: {error}') from error
         m = system.latent_size
-        self._target, self._feed_forward, self._constant = latent, force, force
-        self._goal = autoencoder.decode(latent)
-        self._latent_gain = gain[:, :m]
-        self._velocity_gain = gain[:, m:] + settings.collocated_damping * field.T
-        self._slope, self._integrator = slope, integrator
+        return RegulatorSolution(
+            target=latent,
+            feed_forward=force,
+            goal=autoencoder.decode(latent),
+            latent_gain=gain[:, :m],
+            velocity_gain=gain[:, m:] + settings.collocated_damping * field.T,
+            slope=slope,
+            integrator=integrator,
+        )
+
+    def adopt(self, solution: RegulatorSolution) -> None:
+        self._solution = solution
+        self._constant = solution.feed_forward
         self._since_target = 0.0
 
     def unbounded_force(
         self, latent: Float[np.ndarray, ' m'], latent_velocity: Float[np.ndarray, ' m']
     ) -> Float[np.ndarray, ' 2']:
-        integral = self._constant - self._feed_forward
-        error = self._target + self._slope @ integral - latent
-        return self._constant + self._latent_gain @ error - self._velocity_gain @ latent_velocity
+        solution = self._solution
+        integral = self._constant - solution.feed_forward
+        error = solution.target + solution.slope @ integral - latent
+        feedback = solution.latent_gain @ error
+        return self._constant + feedback - solution.velocity_gain @ latent_velocity
 
     def advance(self, latent: Float[np.ndarray, ' m'], elapsed: float) -> None:
         self._since_target += elapsed
         gain, largest = self.settings.integral_gain, self.settings.largest_force
         if not gain or self._since_target < self.settings.integral_delay:
             return
-        error = self._goal - self.system.autoencoder.decode(latent)
-        change = gain * elapsed * (self._integrator @ error)
+        error = self._solution.goal - self.system.autoencoder.decode(latent)
+        change = gain * elapsed * (self._solution.integrator @ error)
         if not change @ self.excess > 0:
             self._constant = shorten(self._constant + change, largest)
 
     def restart(self) -> None:
         super().restart()
-        self._constant = self._feed_forward
+        self._constant = self._solution.feed_forward
         self._since_target = 0.0
+
+    def carry_on(self, before: ControlLaw) -> None:
+        super().carry_on(before)
+        if isinstance(before, QuadraticRegulator):
+            integral = before._constant - before.feed_forward
+            self._since_target = before._since_target
+            if integral.any():
+                largest = self.settings.largest_force
+                self._constant = shorten(self.feed_forward + integral, largest)
 
     def _equilibrium(
         self, target: Float[np.ndarray, ' n'], reduced: FeedForward | EquilibriumError

@@ -12,19 +12,20 @@ class TargetSchedule:
     """
 
     def __init__(self) -> None:
-        self._pending: list[tuple[int, Target]] = []
+        self._pending: dict[int, Target] = {}
         self._in_force: tuple[int, Target] | None = None
 
     def add(self, stamp: int, target: Target) -> None:
         """Take a target that counts from a stamp [ns] on."""
-        self._pending.append((stamp, target))
+        self._pending.pop(stamp, None)  # of equal stamps the later one wins: keep one, in its turn
+        self._pending[stamp] = target
 
     def in_force(self, stamp: int) -> Target | None:
         """Return the target in force at a stamp [ns], none before the first."""
-        for entry in [entry for entry in self._pending if entry[0] <= stamp]:
-            self._pending.remove(entry)
-            if self._in_force is None or entry[0] == 0 or entry[0] >= self._in_force[0]:
-                self._in_force = (entry[0] or stamp, entry[1])
+        for begin in [begin for begin in self._pending if begin <= stamp]:
+            target = self._pending.pop(begin)
+            if self._in_force is None or begin == 0 or begin >= self._in_force[0]:
+                self._in_force = (begin or stamp, target)
         return None if self._in_force is None else self._in_force[1]
 
     def restart(self) -> None:

@@ -2,35 +2,53 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 import time
+from collections.abc import Mapping
+from typing import Any
 
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
+from rclpy.parameter import Parameter
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from dpc_ros.control import Answers, OnlineController, Target, load_target
+from dpc_ros.control import Answers, BackgroundSolver, OnlineController, Target, load_target
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
     force_message,
-    from_stamp,
     latent_names,
+    parameters_message,
+    read_stamp,
     read_state,
     read_target,
     target_message,
 )
 
+_NO_LATENT_STATE = 'no new latent_state: zero force is commanded until there is one'
+
 
 class ControllerNode(LoopNode):
-    """Answers each latent state with the force of its control law."""
+    """Answers each latent state with the force of its control law.
+
+    Where no new one comes for a while it commands zero force, once, as it does for a state that
+    the law has no finite force for.
+    """
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('controller', context)
+        self._solver: BackgroundSolver | None = None
+        self._watchdog: Timer | None = None
 
     def configure(self) -> None:
         settings = self.settings
-        self._controller = OnlineController(settings)
-        self._controller.warm_up()
+        self._solver = BackgroundSolver(settings) if settings['solve_in_background'] else None
+        self._controller = OnlineController(settings, self._solver)
         self._network = self._controller.network
         self._identifier = self._controller.checkpoint.identifier
         self.health.readings |= {
@@ -39,21 +57,32 @@ class ControllerNode(LoopNode):
         }
         self._names = latent_names(self._controller.law.system.latent_size)
         self._mass = settings['actuated_mass']
+        self._own_identifier = secrets.token_hex(4)  # what tells this controller from others
         self._answers = Answers()
         self._first_target: Target | None = None
         if settings['target']:
             self._first_target = load_target(settings['target'], self._network)
             self._controller.prepare(self._first_target)  # a bad one is refused now
+        else:
+            self._controller.warm_up()
         self._control_force = self.create_output('control_force')
         self._target_publisher = self.create_output('target') if self._first_target else None
         self._target_in_force = self.create_output('target_in_force')
-        # Of what is ready together the target runs first: one that came before a latent state
-        # counts for it.
+        self._parameters_in_force = self.create_output('parameters_in_force')
+        self._announced: Mapping[str, Any] = {}  # on `parameters_in_force`
+        # Of what is ready together these run first: what came before a latent state counts for it.
+        if settings['replayed_parameters']:
+            self.create_input('parameters', self._replay_parameters)
         self.create_input('target', self._take_target)
         self.create_input('latent_state', self._control)
 
     def activate(self) -> None:
         self._controller.restart()
+        if self.settings['latent_timeout']:
+            self._watchdog = self.create_timer(
+                self.settings['latent_timeout'], self._fall_silent, clock=self._steady_clock
+            )
+            self._watchdog.cancel()  # until the first force
         if self._first_target is None:
             self.say('waiting for a target on the topic')
         elif self._target_publisher is not None:
@@ -61,59 +90,123 @@ class ControllerNode(LoopNode):
                 target_message(self._first_target, self._network.identifier)
             )
 
+    def deactivate(self) -> None:
+        if self._watchdog is not None:
+            self.destroy_timer(self._watchdog)
+        self._watchdog = None
+
+    def clean_up(self) -> None:
+        self.deactivate()
+        if self._solver is not None:
+            self._solver.close()
+        self._solver = None
+
+    def check_change(self, settings: Mapping[str, Any]) -> None:
+        self._controller.check(settings)
+
+    def change(self, settings: Mapping[str, Any]) -> None:
+        self._controller.change(settings)
+
+    def _replay_parameters(self, message: ParameterEvent) -> None:
+        given = [
+            Parameter.from_parameter_msg(each)
+            for each in (*message.new_parameters, *message.changed_parameters)
+            if each.name in self.settings['replayed_parameters']
+        ]
+        result = self.set_parameters_atomically(given)
+        if not result.successful:
+            self.reject('parameters', MessageError(result.reason))
+
     def _take_target(self, message: JointState) -> None:
         try:
+            stamp = read_stamp(message.header.stamp)
             target = read_target(
                 message, self._network.identifier, self._network.coordinate_names, len(self._names)
             )
         except MessageError as error:
             self.reject('target', error)
             return
-        self._controller.add_target(from_stamp(message.header.stamp), target)
+        self._controller.add_target(stamp, target)
 
     def _control(self, message: JointState, info: dict[str, int]) -> None:
         if not (self.receive('latent_state', info) and self.matched(self._control_force)):
             return
         begin = time.perf_counter()
         try:
+            stamp = read_stamp(message.header.stamp)
             latent, latent_velocity = read_state(message, self._identifier, self._names)
         except MessageError as error:
             self.reject('latent_state', error)
             return
-        stamp = from_stamp(message.header.stamp)
         answer = self._answers.repeated(stamp, message)
         if answer is None:
             if self._answers.starts_epoch(stamp):
                 self._controller.begin_epoch()
-            if not self._regulate(stamp):
+            self._bring_in_force(stamp, message.header.stamp)
+            if not self._controller.has_target:
+                self.say('waiting for a target on the topic')
                 return
             try:
                 force = self._controller.force(latent, latent_velocity, stamp)
             except Exception as error:  # whatever goes wrong in a law that is not ours
-                self.reject('latent_state', MessageError(f'control law: {error}'))
-                return
-            self.health.saturated += self._controller.law.saturated
-            answer = force_message(message.header.stamp, self._mass, force)
+                problem = f'control law: {error}, so that zero force is commanded'
+                self.reject('latent_state', MessageError(problem))
+                force = np.zeros(2)
+            else:
+                self.health.saturated += self._controller.law.saturated
+            answer = self._force(message.header.stamp, force)
             self._answers.remember(stamp, message, answer)
         else:
             self.health.repeated += 1
         self.publish(self._control_force, answer)
+        if self._watchdog is not None:
+            self._watchdog.reset()
+        if self.health.warning == _NO_LATENT_STATE:
+            self.health.warning = ''
         self.health.processed(time.perf_counter() - begin)
 
-    def _regulate(self, stamp: int) -> bool:
-        """Give the law the target in force; return whether it has ever had one that it can use."""
-        try:
-            target = self._controller.regulate(stamp)
-        except Exception as error:  # EquilibriumError, or what a law that is not ours raises
-            self.reject('target', MessageError(str(error)))
-        else:
-            if target is not None:
+    def _force(self, stamp: Time, force: np.ndarray) -> WrenchStamped:
+        return force_message(stamp, self._mass, force, self._own_identifier)
+
+    def _fall_silent(self) -> None:
+        """Command zero force, which answers the newest state again; silent until the next one."""
+        assert self._watchdog is not None
+        self._watchdog.cancel()
+        if not self.active:
+            return
+        _, answer = self._answers.newest
+        self.publish(self._control_force, self._force(answer.header.stamp, np.zeros(2)))
+        self.health.warning = _NO_LATENT_STATE
+        self.say(_NO_LATENT_STATE, problem=True)
+
+    def _bring_in_force(self, stamp_ns: int, stamp: Time) -> None:
+        """Let new targets and parameters count from a state on, and tell logs so."""
+        for change in self._controller.bring_in_force(stamp_ns):
+            if change.target is None and change.problem:
+                self.reject('parameters', MessageError(change.problem))
+                self._show_wanted_parameters()
+            elif change.problem:
+                self.reject('target', MessageError(change.problem))
+            elif change.target is not None:
                 self._target_in_force.publish(
-                    target_message(target, self._network.identifier, stamp)
+                    target_message(change.target, self._network.identifier, stamp_ns)
                 )
-        if not self._controller.has_target:
-            self.say('waiting for a target on the topic')
-        return self._controller.has_target
+        if self._controller.parameters is not self._announced:
+            self._parameters_in_force.publish(
+                parameters_message(
+                    self.get_fully_qualified_name(),
+                    stamp,
+                    self._announced,
+                    self._controller.parameters,
+                )
+            )
+            self._announced = self._controller.parameters
+
+    def _show_wanted_parameters(self) -> None:
+        """Let the node's parameters say again what is in force, after new ones were of no use."""
+        self.set_parameters_atomically(
+            [Parameter(name, value=value) for name, value in self._controller.wanted.items()]
+        )
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from dpc_ros.control import Answers, DelayMeter, LatentObserver, OnlineEncoder
+from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.control import Answers, Controllers, DelayMeter, LatentObserver, OnlineEncoder
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
     from_stamp,
     latent_names,
+    read_controller,
     read_force,
+    read_stamp,
     read_state,
     state_message,
 )
 from dpc_ros.nodes.turns import Turns
 
+_WATCH_PERIOD = 0.05  # s between two looks whether configurations come
+_STALE = 'configuration is stale'
 _CLOCKS_DIFFER = 'no loop has the delay that was measured: synchronise the clocks of the hosts'
 
 
@@ -33,6 +41,7 @@ class EncoderNode(LoopNode):
 
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('encoder', context)
+        self._watchdog: Timer | None = None
 
     def configure(self) -> None:
         settings = self.settings
@@ -40,6 +49,8 @@ class EncoderNode(LoopNode):
         network, checkpoint = self._encoder.network, self._encoder.checkpoint
         self._delay = DelayMeter() if settings['measure_delay'] else None
         self._mass = settings['actuated_mass']
+        self._rest = network.rest_configuration
+        self._controllers = Controllers(settings['controller_timeout'])
         self._network_identifier = network.identifier
         self._coordinate_names = network.coordinate_names
         self._identifier = checkpoint.identifier
@@ -60,6 +71,20 @@ class EncoderNode(LoopNode):
 
     def activate(self) -> None:
         self._begin_anew()
+        self._came_at: float | None = None
+        self._watchdog = self.create_timer(_WATCH_PERIOD, self._watch, clock=self._steady_clock)
+
+    def deactivate(self) -> None:
+        if self._watchdog is not None:
+            self.destroy_timer(self._watchdog)
+        self._watchdog = None
+        self._warn(_STALE, False)
+
+    def clean_up(self) -> None:
+        self.deactivate()
+
+    def change(self, settings: Mapping[str, Any]) -> None:
+        self._controllers.timeout = settings['controller_timeout']
 
     def _begin_anew(self) -> None:
         self._encoder.restart()
@@ -69,11 +94,13 @@ class EncoderNode(LoopNode):
         if not (self.receive('configuration', info) and self.matched(self._latent_state)):
             return
         try:
+            stamp = read_stamp(message.header.stamp)
             state = read_state(message, self._network_identifier, self._coordinate_names)
+            self._check_plausible(*state)
         except MessageError as error:
             self.reject('configuration', error)
             return
-        stamp = from_stamp(message.header.stamp)
+        self._came_at = self._now()
         if self._delay is not None:
             if self._answers.starts_epoch(stamp):
                 self._delay.restart()
@@ -100,7 +127,6 @@ class EncoderNode(LoopNode):
     def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
         if not self.receive('control_force', info):
             return
-        stamp = from_stamp(message.header.stamp)
         newest, _ = self._answers.newest
         if newest < 0:
             return  # the answer to an encoder that was here before
@@ -108,8 +134,13 @@ class EncoderNode(LoopNode):
             mass, force = read_force(message)
             if mass != self._mass:
                 raise MessageError(f'expected mass {self._mass}, got {mass}')
+            stamp = read_stamp(message.header.stamp)
+            if self._answers.is_of_former_epoch(stamp):
+                self.health.repeated += 1
+                return
             if stamp > newest:
                 raise MessageError('its stamp is that of no state so far')
+            self._check_controller(read_controller(message))
         except MessageError as error:
             self.reject('control_force', error)
             return
@@ -121,6 +152,44 @@ class EncoderNode(LoopNode):
         for each in self._turns.answered(stamp):
             self._answer(*each)
 
+    def _check_plausible(self, configuration: np.ndarray, velocity: np.ndarray) -> None:
+        for values, name, unit in (
+            (configuration - self._rest, 'displacement', 'm'),
+            (velocity, 'speed', 'm/s'),
+        ):
+            largest, found = self.settings[f'largest_{name}'], float(np.abs(values).max())
+            if found > largest:
+                raise MessageError(
+                    f'expected a {name} of at most {largest:g} {unit}, got {found:g}'
+                )
+
+    def _check_controller(self, identifier: str) -> None:
+        """Believe of two controllers neither, as the simulator does."""
+        now = self._now()
+        self._controllers.hear(identifier, now)
+        conflict = self._controllers.conflict(now)
+        if conflict:
+            raise MessageError(f'{conflict}: stop one of them')
+
+    def _watch(self) -> None:
+        """Report where no configuration has come for too long; nothing is published meanwhile."""
+        longest = self.settings['configuration_timeout']
+        is_stale = (
+            self._came_at is not None and 0 < longest < self._now() - self._came_at and self.active
+        )
+        self._warn(_STALE, is_stale)
+
+    def _warn(self, problem: str, holds: bool) -> None:
+        """Report a problem while it holds."""
+        if holds:
+            self.health.warning = problem
+            self.say(problem)
+        elif self.health.warning == problem:
+            self.health.warning = ''
+
+    def _now(self) -> float:
+        return self._steady_clock.now().nanoseconds / NANOSECONDS
+
     def _measure(
         self, delay: DelayMeter, observer: LatentObserver, stamp: int, received: int
     ) -> None:
@@ -129,16 +198,16 @@ class EncoderNode(LoopNode):
         if delay.delay is not None:
             self.health.readings['measured delay [ms]'] = f'{1e3 * delay.delay:.3f}'
             self.health.readings['foreseen delay [ms]'] = f'{1e3 * observer.delay:.3f}'
-        if not delay.is_believable:
-            self.health.warning = _CLOCKS_DIFFER
-            self.say(_CLOCKS_DIFFER, problem=True)
-        elif self.health.warning == _CLOCKS_DIFFER:
-            self.health.warning = ''
+        self._warn(_CLOCKS_DIFFER, not delay.is_believable)
 
     def _answer(self, message: JointState, state: tuple[np.ndarray, np.ndarray]) -> None:
         begin = time.perf_counter()
         stamp = from_stamp(message.header.stamp)
-        latent, latent_velocity = self._encoder.encode(*state, stamp)
+        try:
+            latent, latent_velocity = self._encoder.encode(*state, stamp)
+        except Exception as error:  # whatever an encoder of another package raises, too
+            self.reject('configuration', MessageError(f'encoder: {error}'))
+            return
         answer = state_message(
             message.header.stamp, self._identifier, latent, latent_velocity, self._names
         )

@@ -155,6 +155,9 @@ def make_plan(
         for node in nodes
     }
     parameters = {node: node_parameters(node, given[node]) for node in nodes}
+    if 'solve_in_background' not in given['controller']:
+        realtime = parameters['simulator']['time_mode'] == 'realtime'
+        parameters['controller']['solve_in_background'] = realtime
     observes = parameters['encoder']['observer'] != 'none'
     _check_observer(parameters['encoder'], parameters['simulator'])
     for node, output in _OUTPUTS.items():

@@ -13,11 +13,13 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -31,7 +33,7 @@ from dpc_ros.nodes.health import (
     diagnostic_array,
 )
 from dpc_ros.nodes.messages import MessageError
-from dpc_ros.nodes.parameters import declare_parameters
+from dpc_ros.nodes.parameters import changed_settings, declare_parameters
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.topics import TOPICS, Topic
 from dpc_ros.threads import single_threaded_algebra
@@ -57,11 +59,16 @@ class LoopNode(LifecycleNode):
     raises anything else is an error in the node: it lets go of everything and is unconfigured.
     While the node starts by itself (`autostart`) either is the end of it.
 
+    Parameters that are declared as live can be set while it runs. What comes in one
+    `set_parameters_atomically` is taken as a whole or refused as a whole, with the reason: each
+    value is held against its declaration, then `check_change` sees them together, then `change`
+    applies them.
+
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
         gathering_s: time [s] for which it may let messages gather, where it is alone in a process.
         kind: which of the nodes it is, and its name where it isn't remapped.
-        settings: its parameters by name.
+        settings: its parameters by name, those in force.
         health: its counts.
         failure: why it failed; empty while all is well.
         finished: whether it has done what it was started for.
@@ -78,6 +85,7 @@ class LoopNode(LifecycleNode):
         self.failure = ''
         self.finished = False
         self.active = False
+        self._configured = False
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._outputs: list[Publisher] = []
         self._inputs: list[Subscription] = []
@@ -89,6 +97,8 @@ class LoopNode(LifecycleNode):
         self._serve_transitions()
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
 
     def configure(self) -> None:
         """Load and warm up; the node is inactive afterwards.
@@ -105,6 +115,19 @@ class LoopNode(LifecycleNode):
 
     def clean_up(self) -> None:
         """Let go of what else `configure` made; it may have stopped half-way."""
+
+    def check_change(self, settings: Mapping[str, Any]) -> None:
+        """Make sure that a configured node can take other parameters; change nothing yet.
+
+        Args:
+            settings: all parameters by name, the new values among them; each fits its declaration.
+
+        Raises:
+            ValueError: it can't, and why; everything stays as it was.
+        """
+
+    def change(self, settings: Mapping[str, Any]) -> None:
+        """Apply parameters that `check_change` has let pass; `self.settings` has them by now."""
 
     def is_drained(self) -> bool:
         """Return whether all that was published before this was first asked has come."""
@@ -131,7 +154,8 @@ class LoopNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = self._transition(self.configure, undo=self._clean_up)
-        if result == TransitionCallbackReturn.SUCCESS:
+        self._configured = result == TransitionCallbackReturn.SUCCESS
+        if self._configured:
             self.get_logger().info('configured')  # the first line that is logged takes long, too
         return result
 
@@ -340,7 +364,22 @@ class LoopNode(LifecycleNode):
 
         service.callback = change_or_refuse
 
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            settings = changed_settings(self.kind, self.settings, parameters)
+            if self._configured:
+                self.check_change(settings)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, parameters: list[Parameter]) -> None:
+        self.settings = changed_settings(self.kind, self.settings, parameters)
+        if self._configured:
+            self.change(self.settings)
+
     def _clean_up(self) -> None:
+        self._configured = False
         self.clean_up()
         for publisher in self._outputs:
             self.destroy_publisher(publisher)

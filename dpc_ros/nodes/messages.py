@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
 from jaxtyping import Float
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
+from dpc_ros.bag.force_frame import force_frame, read_force_frame
 from dpc_ros.bag.reader import LATENT_PREFIX
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import Target, TargetError
@@ -31,14 +35,23 @@ def from_stamp(stamp: Time) -> int:
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
+def read_stamp(stamp: Time) -> int:
+    """Return the nanoseconds of a stamp that came from elsewhere.
+
+    Raises:
+        MessageError: it is negative, or its nanoseconds make a second.
+    """
+    if stamp.sec < 0 or not 0 <= stamp.nanosec < NANOSECONDS:
+        raise MessageError(
+            'expected a stamp from 0 on with less than 1000000000 ns beside its seconds, got '
+            f'{stamp.sec} s and {stamp.nanosec} ns'
+        )
+    return from_stamp(stamp)
+
+
 def latent_names(latent_size: int) -> list[str]:
     """Return the names of latent coordinates, from `xi_0` on."""
     return [f'{LATENT_PREFIX}{i}' for i in range(latent_size)]
-
-
-def mass_frame(mass: int) -> str:
-    """Return the `frame_id` of forces on a mass, `mass_162`."""
-    return f'mass_{mass}'
 
 
 def state_message(
@@ -82,11 +95,13 @@ def read_state(
     )
 
 
-def force_message(stamp: Time, mass: int, force: Float[np.ndarray, ' 2']) -> WrenchStamped:
-    """Return a WrenchStamped of a planar force [N] on a mass."""
+def force_message(
+    stamp: Time, mass: int, force: Float[np.ndarray, ' 2'], identifier: str = ''
+) -> WrenchStamped:
+    """Return a WrenchStamped of a planar force [N] on a mass, from the controller of that id."""
     message = WrenchStamped()
     message.header.stamp = stamp
-    message.header.frame_id = mass_frame(mass)
+    message.header.frame_id = force_frame(mass, identifier)
     message.wrench.force.x = float(force[0])
     message.wrench.force.y = float(force[1])
     return message
@@ -98,15 +113,28 @@ def read_force(message: WrenchStamped) -> tuple[int, Float[np.ndarray, ' 2']]:
     Raises:
         MessageError: the frame names no mass, a value is not finite, or it leaves the plane.
     """
-    prefix, _, number = message.header.frame_id.partition('_')
-    if prefix != 'mass' or not number.isdecimal():
-        raise MessageError(
-            f'expected a frame like {mass_frame(162)!r}, got {message.header.frame_id!r}'
-        )
+    mass, _ = _read_force_frame(message)
     force, torque = message.wrench.force, message.wrench.torque
     if force.z != 0 or torque.x != 0 or torque.y != 0 or torque.z != 0:
         raise MessageError('expected a force in the plane: its z and the torque must be zero')
-    return int(number), _finite(array('d', (force.x, force.y)), 2, 'force components')
+    return mass, _finite(array('d', (force.x, force.y)), 2, 'force components')
+
+
+def read_controller(message: WrenchStamped) -> str:
+    """Return the id of the controller that a force comes from, '' where it does not say.
+
+    Raises:
+        MessageError: the frame is none of a force.
+    """
+    _, identifier = _read_force_frame(message)
+    return identifier
+
+
+def _read_force_frame(message: WrenchStamped) -> tuple[int, str]:
+    try:
+        return read_force_frame(message.header.frame_id)
+    except ValueError as error:
+        raise MessageError(str(error)) from error
 
 
 def target_message(target: Target, frame_id: str, stamp: int = 0) -> JointState:
@@ -145,6 +173,29 @@ def read_target(
         return Target(latent=value) if latent else Target(configuration=value)
     except TargetError as error:
         raise MessageError(str(error)) from error
+
+
+def parameters_message(
+    node: str, stamp: Time, before: Mapping[str, Any], after: Mapping[str, Any]
+) -> ParameterEvent:
+    """Return what changes from a stamp on.
+
+    Args:
+        node: full name of the node.
+        stamp: of the first state that the parameters count for.
+        before: those in force until then, by name; what is not among them is new.
+        after: those in force from then on.
+    """
+    changed = {name: value for name, value in after.items() if before.get(name) != value}
+    messages = {
+        name: Parameter(name, value=value).to_parameter_msg() for name, value in changed.items()
+    }
+    return ParameterEvent(
+        stamp=stamp,
+        node=node,
+        new_parameters=[each for name, each in messages.items() if name not in before],
+        changed_parameters=[each for name, each in messages.items() if name in before],
+    )
 
 
 def _finite(values: array, size: int, what: str) -> np.ndarray:

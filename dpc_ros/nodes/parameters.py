@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from dpc_ros.parameters import KINDS, Declaration, ParameterError, declarations
 
@@ -37,6 +39,32 @@ def declare_parameters(node: Node, kind: str) -> dict[str, Any]:
     return values
 
 
+def changed_settings(
+    kind: str, settings: Mapping[str, Any], parameters: Iterable[Parameter]
+) -> dict[str, Any]:
+    """Return the parameters of a kind of node with what one set asks for.
+
+    What the kind does not declare, as rclpy's `use_sim_time`, is passed over.
+
+    Args:
+        kind: one of `KINDS`.
+        settings: all that are in force, by name.
+        parameters: of one set.
+
+    Raises:
+        ParameterError: a value is of the wrong type, out of range or none of the options.
+    """
+    known = declarations(kind)
+    return {
+        **settings,
+        **{
+            parameter.name: known[parameter.name].check(parameter.value)
+            for parameter in parameters
+            if parameter.name in known
+        },
+    }
+
+
 def _is_rclpy_own(name: str) -> bool:
     return name in ('use_sim_time', 'start_type_description_service') or name.startswith(
         'qos_overrides.'
@@ -44,13 +72,13 @@ def _is_rclpy_own(name: str) -> bool:
 
 
 def _descriptor(declared: Declaration) -> ParameterDescriptor:
-    """Return what `ros2 param describe` shows; parameters are read-only after start."""
+    """Return what `ros2 param describe` shows; only live parameters can be set after start."""
     unit = f' [{declared.unit}]' if declared.unit else ''
     descriptor = ParameterDescriptor(
         name=declared.name,
         description=declared.description + unit,
         additional_constraints=f'one of {", ".join(declared.options)}' if declared.options else '',
-        read_only=True,
+        read_only=not declared.live,
     )
     if declared.range is not None:
         low, high = declared.range

@@ -28,12 +28,14 @@ from dpc_ros.bag import QosProfile, RawMessage, read_topics
 from dpc_ros.bag import Topic as LoggedTopic
 from dpc_ros.bag.playback import Excerpt, Step, lockstep_steps, stamp_of_header
 from dpc_ros.bag.topic import INFINITE_NS, NANOSECONDS
+from dpc_ros.control import Patience
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.message_definition import check_definition, find_message_class
-from dpc_ros.nodes.messages import from_stamp, to_stamp
+from dpc_ros.nodes.messages import MessageError, read_stamp, to_stamp
 from dpc_ros.nodes.topics import LOOP_QOS, Topic
 
-_ANSWERS = ('latent_state', 'control_force', 'target_in_force')  # of the nodes that are replayed to
+# Of the nodes that are replayed to.
+_ANSWERS = ('latent_state', 'control_force', 'target_in_force', 'parameters_in_force')
 _CLOCK = '/clock'
 _MATCHING_PERIOD = 0.05  # s between two looks whether the expected nodes are there
 _BURST = 64  # messages that are due after which services are served
@@ -99,7 +101,9 @@ class PlayerNode(LoopNode):
         self._following: RawMessage | None = None
 
     def activate(self) -> None:
-        self._answered_at = self._published_at = self._now()
+        self._published_at = self._now()
+        self._patience = Patience(_MATCHING_PERIOD)
+        self._patience.begin(self._published_at)
         if self._begun and not self._lockstep:
             self._anchor()  # it goes on where it was, and catches up with nothing
         tick = self._watch if self._lockstep else self._tick
@@ -244,7 +248,7 @@ class PlayerNode(LoopNode):
         if step.before:
             self.wait_until_acknowledged()
         self._step, self._answered = step, False
-        self._answered_at = self._now()
+        self._patience.begin(self._now())
         self._play_state(step)
 
     def _play_state(self, step: Step) -> None:
@@ -255,7 +259,11 @@ class PlayerNode(LoopNode):
     def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
         if not self.receive('control_force', info):
             return
-        stamp = from_stamp(message.header.stamp)
+        try:
+            stamp = read_stamp(message.header.stamp)
+        except MessageError as error:
+            self.reject('control_force', error)
+            return
         self.health.round_trips.answered(stamp)
         if self._step is None or self._answered or stamp != self._step.stamp:
             self.health.repeated += 1  # the answer to a state that was published twice
@@ -277,7 +285,7 @@ class PlayerNode(LoopNode):
             return
         which = 'response_timeout' if self._running else 'startup_timeout'
         limit = self.settings[which] or math.inf
-        if self._now() - self._answered_at > limit:
+        if self._patience.look(self._now()) > limit:
             self.fail(
                 f'no control_force for the configuration at {self._step.stamp / NANOSECONDS:g} s '
                 f'within {which} = {limit:g} s: are encoder and controller running, and has the '

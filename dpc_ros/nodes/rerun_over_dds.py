@@ -10,6 +10,7 @@ from typing import Any
 
 from dpc_ros.bag.rerun import logged_parameters
 from dpc_ros.bag.signals import Signals, read_signals
+from dpc_ros.control import LAW_PARAMETERS
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.launcher import namespace_arguments, run_processes
 from dpc_ros.nodes.stop import StopRequest
@@ -48,8 +49,9 @@ def rerun_plan(
 ) -> LaunchPlan:
     """Return what is started to run a log again.
 
-    The player gives the controller, as targets, what the log's controller announced as in force,
-    each before the state from which on it counted.
+    The player gives the controller, as targets and parameters, what the log's controller announced
+    as in force, each before the state from which on it counted. Parameters that are overridden
+    stay.
 
     Args:
         signals: of the log.
@@ -61,10 +63,14 @@ def rerun_plan(
     """
     folder = folder.resolve()
     logged = logged_parameters(signals, overrides)
-    targets = 'target_in_force' if signals.in_force else 'target'
-    topics = (
-        ['configuration', targets] if signals.targets or signals.in_force else ['configuration']
-    )
+    readers = {'configuration': ['encoder', RECORDER]}
+    if signals.targets or signals.in_force:
+        targets = 'target_in_force' if signals.in_force else 'target'
+        readers[targets] = ['controller', RECORDER]
+    if signals.parameters:
+        readers['parameters_in_force'] = ['controller']
+    fixed = overrides.get('controller', {})
+    replayed = [name for name in LAW_PARAMETERS if name not in fixed] if signals.parameters else []
     observing = ['encoder'] if logged['encoder']['observer'] != 'none' else []
     given: dict[str, dict[str, Any]] = {
         RECORDER: {
@@ -75,19 +81,17 @@ def rerun_plan(
         'controller': {
             **logged['controller'],
             'target': '',
+            'solve_in_background': False,
+            'replayed_parameters': replayed,
             'expected_subscribers': ['player', RECORDER, *observing],
         },
         'player': {
             'bag': str(signals.path.resolve()),
-            'topics': topics,
+            'topics': [*readers],
             'time_mode': 'lockstep',
             'startup_timeout': _STARTUP_TIMEOUT,
             'expected_subscribers': [
-                f'{reader}@{topic}'
-                for topic, readers in zip(
-                    topics, (['encoder', RECORDER], ['controller', RECORDER]), strict=False
-                )
-                for reader in readers
+                f'{reader}@{topic}' for topic, names in readers.items() for reader in names
             ],
         },
     }
@@ -96,7 +100,9 @@ def rerun_plan(
         folder,
         signals.namespace or '/',
         leader='player',
-        remappings={'player': ('target_in_force:=target',)},
+        remappings={
+            'player': ('target_in_force:=target', 'parameters_in_force:=parameters'),
+        },
     )
 
 

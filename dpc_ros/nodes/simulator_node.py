@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -17,14 +19,24 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.control import LONGEST_GAP
+from dpc_ros.control import LONGEST_GAP, Controllers, Patience, approach
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
-from dpc_ros.nodes.messages import MessageError, from_stamp, read_force, state_message, to_stamp
+from dpc_ros.nodes.messages import (
+    MessageError,
+    read_controller,
+    read_force,
+    read_stamp,
+    state_message,
+    to_stamp,
+)
 from dpc_ros.nodes.topics import Topic
 
 _RESET_LEAP = 2 * LONGEST_GAP  # s of the stamps, by which encoder and controller see a reset
+_STALE = 'control_force is stale'
+_MISSED = 'missed steps'  # whose time passed before the one before was over, or while stopped
+_LIMITED = 'rate-limited steps'
 
 
 class SimulatorNode(LoopNode):
@@ -32,7 +44,10 @@ class SimulatorNode(LoopNode):
 
     State k carries the stamp k·step, and more by a leap for each reset; `_awaited` is the stamp of
     the state published last. In lockstep the force with that stamp starts the next step. In
-    realtime the first force starts a wall timer, which steps under the force that came last.
+    realtime the first force starts a wall timer, which steps under the newest force.
+
+    What commands the body must be one controller, and no force may be too strong: else it is
+    rejected, the body waits in lockstep, and in realtime nothing acts from the next step on.
     """
 
     def __init__(self, context: Context | None = None) -> None:
@@ -62,7 +77,14 @@ class SimulatorNode(LoopNode):
         self._answered = False  # the present state has been, by a force with its stamp
         self._running = False  # a first force has come
         self._paused = False
-        self._force = np.zeros(2)
+        self._answer_stamp = -1  # of the newest force that was taken [ns]
+        self._controllers = Controllers(settings['controller_timeout'])
+        self._patience = Patience(settings['resend_interval'])
+        self._refusal = ''  # why the last force was rejected, where none was taken since
+        self._is_stale = False
+        self._warned = ''
+        self._limited = 0  # steps
+        self._let_go()
         self._pushes: dict[int, tuple[int, np.ndarray]] = {}
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._configuration = self.create_output('configuration')
@@ -80,7 +102,8 @@ class SimulatorNode(LoopNode):
         ]
 
     def activate(self) -> None:
-        self._published_at = self._answered_at = self._now()
+        self._published_at = self._now()
+        self._begin_waiting()
         self._watchdog = self.create_timer(
             self.settings['resend_interval'], self._watch, clock=self._wall
         )
@@ -91,7 +114,7 @@ class SimulatorNode(LoopNode):
             if timer is not None:
                 self.destroy_timer(timer)
         self._watchdog = self._stepper = None
-        self._running = False
+        self._running = self._is_stale = False
         self.health.watchdog = NO_WATCHDOG
 
     def clean_up(self) -> None:
@@ -99,6 +122,12 @@ class SimulatorNode(LoopNode):
         for service in self._commands:
             self.destroy_service(service)
         self._commands = []
+
+    def change(self, settings: Mapping[str, Any]) -> None:
+        self._controllers.timeout = settings['controller_timeout']
+        if self._stepper is not None and self._factor != settings['real_time_factor']:
+            self.destroy_timer(self._stepper)
+            self._create_stepper()
 
     @property
     def _awaited(self) -> int:
@@ -116,21 +145,27 @@ class SimulatorNode(LoopNode):
             mass, force = read_force(message)
             if mass != self._body.actuated_mass:
                 raise MessageError(f'expected mass {self._body.actuated_mass}, got {mass}')
+            stamp = read_stamp(message.header.stamp)
+            if stamp > self._awaited:
+                raise MessageError('its stamp is that of no state so far')
         except MessageError as error:
-            self.reject('control_force', error)
+            self._refuse(error)
             return
-        stamp = from_stamp(message.header.stamp)
-        if stamp > self._awaited:
-            self.reject('control_force', MessageError('its stamp is that of no state so far'))
+        try:
+            self._check_controller(read_controller(message))
+            if self._is_passed(stamp):
+                self.health.repeated += 1
+                return
+            self._check_strength(force, self.settings['control_force_limit'])
+        except MessageError as error:
+            if self._realtime:
+                self._let_go()
+            self._refuse(error)
             return
         self.health.round_trips.answered(stamp)
-        if stamp == self._awaited and not self._answered:
-            self._answered = True
-        elif not self._realtime or stamp < self._reset_at:
-            self.health.repeated += 1  # of a state that was published twice, or before a reset
-            return
-        self._force = force
-        self._answered_at = self._now()
+        self._force, self._answer_stamp, self._refusal = force, stamp, ''
+        self._answered = self._answered or stamp == self._awaited
+        self._begin_waiting()
         if self._at_end:
             self.finished = self._answered
         elif self._realtime:
@@ -138,31 +173,93 @@ class SimulatorNode(LoopNode):
         elif not self._paused:
             self._advance()
 
+    def _check_controller(self, identifier: str) -> None:
+        now = self._now()
+        self._controllers.hear(identifier, now)
+        conflict = self._controllers.conflict(now)
+        if conflict:
+            raise MessageError(f'{conflict}: stop one of them')
+
+    def _is_passed(self, stamp: int) -> bool:
+        """Return whether a force comes too late to count, or a second time.
+
+        In realtime a second one for the newest state may take back the first.
+        """
+        if self._realtime:
+            return stamp < max(self._answer_stamp, self._reset_at)
+        return stamp != self._awaited or self._answered
+
+    def _check_strength(self, force: np.ndarray, limit: float) -> None:
+        strength = np.hypot(*force)
+        if strength > limit:
+            raise MessageError(f'expected at most {limit:g} N, got {strength:g}')
+
+    def _refuse(self, error: MessageError) -> None:
+        self._refusal = str(error)
+        self.reject('control_force', error)
+        self._warn()
+
+    def _let_go(self) -> None:
+        """Let no control force act from the next step on, however fast one may change."""
+        self._force = self._acting = np.zeros(2)
+
+    def _begin_waiting(self) -> None:
+        self._answered_at = self._now()
+        self._patience.begin(self._answered_at)
+
     def _start_stepping(self) -> None:
         if self._running:
             return
         self._running = True
-        period = self._body.integrator.step / self.settings['real_time_factor']
+        self.health.readings[_MISSED] = '0'
+        self._missed = 0
+        self._create_stepper()
+
+    def _create_stepper(self) -> None:
+        self._factor = self.settings['real_time_factor']
+        period = self._body.integrator.step / self._factor
         self._stepper = self.create_timer(period, self._tick, clock=self._wall)
+        self._next_tick = self._wall.now().nanoseconds + self._stepper.time_until_next_call()
 
     def _tick(self) -> None:
+        self._count_missed()
         if self._paused or not self.active or self._at_end:
             return
-        if self._now() - self._answered_at > self.settings['force_timeout']:
+        self._is_stale = self._now() - self._answered_at > self.settings['force_timeout']
+        if self._is_stale:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
-            self.health.watchdog = 'control_force is stale'
             if self.settings['stale_force'] == 'zero':
-                self._force = np.zeros(2)
-        else:
-            self.health.watchdog = WATCHDOG_OK
+                self._let_go()
+        self.health.watchdog = _STALE if self._is_stale else WATCHDOG_OK
+        self._warn()
         self._advance()
+
+    def _count_missed(self) -> None:
+        """Count the ticks that the timer has left out since the last one."""
+        assert self._stepper is not None
+        following = self._wall.now().nanoseconds + self._stepper.time_until_next_call()
+        missed = round((following - self._next_tick) / self._stepper.timer_period_ns) - 1
+        self._next_tick = following
+        if missed > 0:
+            self._missed += missed
+            self.health.readings[_MISSED] = str(self._missed)
+
+    def _warn(self) -> None:
+        """Report what is wrong now, and no longer what was."""
+        problem = self._controllers.conflict(self._now()) or (_STALE if self._is_stale else '')
+        if problem or self.health.warning == self._warned:
+            self.health.warning = problem
+        self._warned = problem
 
     def _advance(self) -> None:
         begin = time.perf_counter()
         self._running = True
         self._pushes = {m: push for m, push in self._pushes.items() if push[0] > self._awaited}
-        self._body.advance(self._force, {mass: push for mass, (_, push) in self._pushes.items()})
-        if not np.isfinite(self._body.configuration).all():
+        pushes = {mass: push for mass, (_, push) in self._pushes.items()}
+        self._body.advance(self._acting_force(), pushes)
+        if not (
+            np.isfinite(self._body.configuration).all() and np.isfinite(self._body.velocity).all()
+        ):
             self.fail(
                 f'the body diverged at {self._awaited / NANOSECONDS:g} s: '
                 'lower the gains, or raise the rate'
@@ -172,6 +269,17 @@ class SimulatorNode(LoopNode):
         self._answered = False
         self._publish_state()
         self.health.processed(time.perf_counter() - begin)
+
+    def _acting_force(self) -> np.ndarray:
+        """Return the force of this step: the commanded one, or what is allowed of the way to it."""
+        rate = self.settings['force_rate_limit']
+        before, self._acting = self._acting, self._force
+        if rate:
+            self._acting = approach(before, self._force, rate * self._body.integrator.step)
+            if self._acting is not self._force:
+                self._limited += 1
+                self.health.readings[_LIMITED] = str(self._limited)
+        return self._acting
 
     def _publish_state(self) -> None:
         if not self.matched(self._configuration):
@@ -190,13 +298,15 @@ class SimulatorNode(LoopNode):
 
     def _watch(self) -> None:
         """Publish an unanswered state again, give up after the time-out."""
+        waited = self._patience.look(self._now())
+        self._warn()
         if not self.active or self._answered or (self._running and not self._must_answer):
             return
         which = 'response_timeout' if self._running else 'startup_timeout'
         limit = self.settings[which]
         if self._paused or limit == 0:
             limit = math.inf
-        if self._now() - self._answered_at > limit:
+        if waited > limit:
             self.fail(self._timeout_reason(which, limit))
             return
         if not self._running:
@@ -212,11 +322,12 @@ class SimulatorNode(LoopNode):
     def _timeout_reason(self, parameter: str, limit: float) -> str:
         readers = self._configuration.get_subscription_count()
         writers = self.count_publishers('control_force')
+        refused = f'; the last one was rejected: {self._refusal}' if self._refusal else ''
         return (
             f'no control_force for the state at {self._awaited / NANOSECONDS:g} s within '
             f'{parameter} = {limit:g} s (configuration has {readers} subscriptions, control_force '
             f'{writers} publishers): are encoder and controller running, and has the controller '
-            'a target?'
+            f'a target?{refused}'
         )
 
     def _take_push(self, message: WrenchStamped, info: dict[str, int]) -> None:
@@ -224,9 +335,8 @@ class SimulatorNode(LoopNode):
             return
         try:
             mass, force = read_force(message)
-            limit = self.settings['force_limit']
-            if np.hypot(*force) > limit:
-                raise MessageError(f'expected at most {limit:g} N, got {np.hypot(*force):g}')
+            read_stamp(message.header.stamp)
+            self._check_strength(force, self.settings['force_limit'])
             self._body.network.mobile_index(mass)
         except ValueError as error:
             self.reject('external_force', MessageError(str(error)))
@@ -236,12 +346,12 @@ class SimulatorNode(LoopNode):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._body.reset()
-        self._force = np.zeros(2)
+        self._let_go()
         self._pushes.clear()
         self._leapt += math.ceil(_RESET_LEAP * NANOSECONDS / self._step_ns)  # stamps rise for ever
         self._reset_at = self._awaited
         self._answered = False
-        self._answered_at = self._now()
+        self._begin_waiting()
         if self.active:
             self._publish_state()
         response.success = True
@@ -249,7 +359,7 @@ class SimulatorNode(LoopNode):
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused = request.data
-        self._answered_at = self._now()
+        self._begin_waiting()
         if not self._paused and self._answered and not self._realtime and self.active:
             self._advance()
         response.success = True

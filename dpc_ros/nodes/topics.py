@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
@@ -46,6 +47,8 @@ TOPICS = {
     'latent_state': Topic(JointState, LOOP_QOS),
     'target': Topic(JointState, TARGET_QOS),
     'target_in_force': Topic(JointState, IN_FORCE_QOS),
+    'parameters': Topic(ParameterEvent, IN_FORCE_QOS),
+    'parameters_in_force': Topic(ParameterEvent, IN_FORCE_QOS),
     'control_force': Topic(WrenchStamped, LOOP_QOS),
     'external_force': Topic(WrenchStamped, LOOP_QOS),
 }

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,7 @@ class Log:
     namespace: str = ''
     network: str = 'net@0123456789ab'
     checkpoint: str = 'flat@ba9876543210'
+    force_frames: tuple = ('mass_0',)  # one after the other, and again from the first
     sequences: dict = field(default_factory=dict)  # topic name: list of numbers
 
     def write_to(self, bag, messages):
@@ -111,7 +113,9 @@ class Log:
             JOINT_STATE,
             [state(t, x, v, self.checkpoint, _xi(x)) for t, x, v in self.latent],
         )
-        yield 'control_force', WRENCH, [wrench(t, u) for t, u in self.force]
+        frames = cycle(self.force_frames)
+        forces = [wrench(t, u, frame) for (t, u), frame in zip(self.force, frames, strict=False)]
+        yield 'control_force', WRENCH, forces
         yield 'external_force', WRENCH, [wrench(t, u) for t, u in self.external_force]
         yield (
             'target',

@@ -182,6 +182,15 @@ def test_other_topics_types_sizes_and_texts_are_differences(small_log, log_type,
         assert words in comparison_table(found)
 
 
+def test_which_controller_commands_does_not_count(small_log, record):
+    twice = [row for row in small_log.force for _ in range(2)]  # two processes say the same
+    for frames in (('mass_0@1f3a9c02',), ('mass_0@1f3a9c02', 'mass_0@00000001')):
+        one = record(replace(small_log, force_frames=frames, force=twice))
+        for others in (('mass_0',), ('mass_0@ffffffff',)):
+            assert compare(one, record(replace(small_log, force_frames=others))).is_equal
+        assert not compare(one, record(replace(small_log, force_frames=('mass_1',)))).is_equal
+
+
 def test_a_tolerance_below_zero_is_refused(small_log, record):
     bag = record(small_log)
     with pytest.raises(ValueError, match='tolerance: expected a number ≥ 0'):

@@ -16,7 +16,8 @@ WRENCH = 'geometry_msgs/msg/WrenchStamped'
 
 
 def test_a_log_is_shown_with_its_models_records_and_files(split_bag, small_log, capsys):
-    log = replace(small_log, network='paper_2@0123456789ab')
+    frames = ('mass_0@1f3a9c02', 'mass_0')
+    log = replace(small_log, network='paper_2@0123456789ab', force_frames=frames)
     folder = split_bag(log, 3)
     cli.main(['bag', 'info', str(folder)])
     shown = capsys.readouterr().out
@@ -27,6 +28,7 @@ def test_a_log_is_shown_with_its_models_records_and_files(split_bag, small_log, 
         *(f'{file.name}, {file.stat().st_size} bytes' for file in files),
         '/configuration: paper_2@0123456789ab',
         f'/latent_state: {log.checkpoint}',
+        'controllers\n  /control_force: mass_0@1f3a9c02\n',
         '  law: energy shaping',
         'geometry_msgs/msg/WrenchStamped',
     ):

@@ -5,6 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -26,10 +29,11 @@ def changing_run(domain, observer, plan):
     """Return a function that records a run whose target changes twice and returns its plan.
 
     The body stands still while a target is on its way: the first change counts at once, whenever
-    that is, the second from a stamp on.
+    that is, the second from a stamp on. With gains, these are set behind the first change; the
+    stamp from which on they counted is returned, too.
     """
 
-    def run(encoder=(), **controller):
+    def run(encoder=(), gains=(), **controller):
         made = plan(
             simulator={'duration': STEPS * 0.005},
             encoder=dict(encoder),
@@ -42,15 +46,25 @@ def changing_run(domain, observer, plan):
             lambda message: announced.append(from_stamp(message.header.stamp)),
             IN_FORCE_QOS,
         )
+        parameters = []
+        node.create_subscription(
+            ParameterEvent, 'parameters_in_force', parameters.append, IN_FORCE_QOS
+        )
+        setter = node.create_client(
+            SetParametersAtomically, '/controller/set_parameters_atomically'
+        )
         targets = node.create_publisher(JointState, 'target', TARGET_QOS)
         pause = node.create_client(SetBool, '/simulator/pause')
         step = node.create_client(Trigger, '/simulator/step')
 
-        def call(client, request):
-            observer.wait(client.service_is_ready, 'the simulator')
+        def ask(client, request):
+            observer.wait(client.service_is_ready, 'the node')
             future = client.call_async(request)
             observer.wait(future.done, 'its answer')
-            return future.result().success
+            return future.result()
+
+        def call(client, request):
+            return ask(client, request).success
 
         def take_step():  # refused until the state before has been answered
             observer.wait(lambda: call(step, Trigger.Request()), 'a step')
@@ -69,6 +83,16 @@ def changing_run(domain, observer, plan):
         send('simulation:2@60', 0)
         take_step()
         observer.wait(lambda: len(announced) == 2, 'the new target in force')
+        if gains:
+            changes = [
+                Parameter(name, value=each).to_parameter_msg() for name, each in gains.items()
+            ]
+            request = SetParametersAtomically.Request(parameters=changes)
+            answer = ask(setter, request).result
+            assert answer.successful, answer.reason
+            take_step()
+            observer.wait(lambda: len(parameters) == 2, 'the new gains in force')
+            assert {each.name for each in parameters[1].changed_parameters} == set(gains)
         later = announced[-1] + LATER
         send('rest', later)
         assert call(pause, SetBool.Request(data=False))
@@ -80,7 +104,7 @@ def changing_run(domain, observer, plan):
         assert announced[0] == 0
         assert announced[1] >= CHANGE * 5_000_000
         assert announced[2] == later
-        return made
+        return (made, from_stamp(parameters[1].stamp)) if gains else made
 
     return run
 
@@ -96,11 +120,16 @@ def dpc(domain, *arguments):
 
 
 def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_run, tmp_path):
-    made = changing_run(integral_gain=0.5, integral_delay=0.2)
+    gains = {'velocity_weight': 0.1, 'integral_gain': 2.0}
+    made, changed = changing_run(gains=gains, integral_gain=0.5, integral_delay=0.2)
     result = rerun(made.bag)
     assert result.is_exact, result.reason
     assert result.is_identical, table(result)
     assert {each.stamps for each in result.deviations} == {STEPS + 1}
+
+    kept = rerun(made.bag, {'controller': {'velocity_weight': 0.03}})  # as it was before
+    *_, force = kept.deviations
+    assert force.first_stamp_ns == changed
 
     done = dpc(domain, str(made.bag), '--over-dds', '--output', str(tmp_path / 'again'))
     assert done.returncode == 0, done.stdout + done.stderr

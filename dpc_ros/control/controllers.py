@@ -1,0 +1,40 @@
+"""Which controllers command one body: while there are two of them, neither may."""
+
+from __future__ import annotations
+
+
+class Controllers:
+    """Knows the controllers that were heard last. Times [s] are the caller's, of a steady clock.
+
+    A controller lives for a time after its last force. Two that live contradict each other, and
+    nobody knows which one is right. One that has been killed is over after that time, so that
+    another, or the same one started again, takes its place by itself.
+
+    Args:
+        timeout: how long a controller lives after its last force [s]; may be set at any time.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        # The last two are enough: where they don't both live, no other two do.
+        self._heard: dict[str, float] = {}
+
+    def hear(self, identifier: str, now: float) -> None:
+        """Note that a force of a controller has come."""
+        self._heard.pop(identifier, None)
+        self._heard[identifier] = now
+        if len(self._heard) > 2:
+            del self._heard[next(iter(self._heard))]
+
+    def rivals(self, now: float) -> tuple[str, ...]:
+        """Return the ids of two controllers that live, in order; none while at most one does."""
+        living = sorted(each for each, time in self._heard.items() if now - time <= self.timeout)
+        return tuple(living) if len(living) > 1 else ()
+
+    def conflict(self, now: float) -> str:
+        """Return what is wrong with two controllers that live, empty while at most one does."""
+        rivals = self.rivals(now)
+        if not rivals:
+            return ''
+        first, second = (each or 'one without an id' for each in rivals)
+        return f'expected the forces of one controller, got those of {first} and {second}'
