@@ -2,6 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+_MOST = 8  # controllers that are remembered; whoever makes up ids can't fill the memory
+
+
+class _Heard(NamedTuple):
+    """When a controller was heard last [s], and its first answer to the newest stamp [ns]."""
+
+    time: float
+    stamp: int
+    force: np.ndarray
+
 
 class Controllers:
     """Knows the controllers that were heard last. Times [s] are the caller's, of a steady clock.
@@ -16,20 +31,27 @@ class Controllers:
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout
-        # The last two are enough: where they don't both live, no other two do.
-        self._heard: dict[str, float] = {}
+        self._heard: dict[str, _Heard] = {}  # the one silent for longest first
 
-    def hear(self, identifier: str, now: float) -> None:
-        """Note that a force of a controller has come."""
-        self._heard.pop(identifier, None)
-        self._heard[identifier] = now
-        if len(self._heard) > 2:
+    def hear(
+        self, identifier: str, stamp: int, force: Float[np.ndarray, ' 2'], now: float
+    ) -> Float[np.ndarray, ' 2']:
+        """Note that a force of a controller has come; return its first one of that stamp [ns].
+
+        Where time waits for the answer the first one is it, even if it could not be used when it
+        came: a controller that nobody asks any more lets go by a zero of the same stamp.
+        """
+        known = self._heard.pop(identifier, None)
+        first = known.force if known is not None and known.stamp == stamp else force
+        self._heard[identifier] = _Heard(now, stamp, first)
+        if len(self._heard) > _MOST:
             del self._heard[next(iter(self._heard))]
+        return first
 
     def rivals(self, now: float) -> tuple[str, ...]:
         """Return the ids of two controllers that live, in order; none while at most one does."""
-        living = sorted(each for each, time in self._heard.items() if now - time <= self.timeout)
-        return tuple(living) if len(living) > 1 else ()
+        living = [each for each, heard in self._heard.items() if now - heard.time <= self.timeout]
+        return tuple(sorted(living[-2:])) if len(living) > 1 else ()
 
     def conflict(self, now: float) -> str:
         """Return what is wrong with two controllers that live, empty while at most one does."""

@@ -140,7 +140,9 @@ class EncoderNode(LoopNode):
                 return
             if stamp > newest:
                 raise MessageError('its stamp is that of no state so far')
-            self._check_controller(read_controller(message))
+            now = self._now()
+            force = self._controllers.hear(read_controller(message), stamp, force, now)
+            self._check_controllers(now)
         except MessageError as error:
             self.reject('control_force', error)
             return
@@ -163,10 +165,8 @@ class EncoderNode(LoopNode):
                     f'expected a {name} of at most {largest:g} {unit}, got {found:g}'
                 )
 
-    def _check_controller(self, identifier: str) -> None:
+    def _check_controllers(self, now: float) -> None:
         """Believe of two controllers neither, as the simulator does."""
-        now = self._now()
-        self._controllers.hear(identifier, now)
         conflict = self._controllers.conflict(now)
         if conflict:
             raise MessageError(f'{conflict}: stop one of them')

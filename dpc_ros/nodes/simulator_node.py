@@ -152,7 +152,10 @@ class SimulatorNode(LoopNode):
             self._refuse(error)
             return
         try:
-            self._check_controller(read_controller(message))
+            now = self._now()
+            first = self._controllers.hear(read_controller(message), stamp, force, now)
+            force = force if self._realtime else first
+            self._check_controllers(now)
             if self._is_passed(stamp):
                 self.health.repeated += 1
                 return
@@ -173,9 +176,7 @@ class SimulatorNode(LoopNode):
         elif not self._paused:
             self._advance()
 
-    def _check_controller(self, identifier: str) -> None:
-        now = self._now()
-        self._controllers.hear(identifier, now)
+    def _check_controllers(self, now: float) -> None:
         conflict = self._controllers.conflict(now)
         if conflict:
             raise MessageError(f'{conflict}: stop one of them')

@@ -93,14 +93,16 @@ def distinct(states):
 def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
     domain, observer, witness, plan, reference
 ):
-    """Neither shows in what comes out: all bits are those of the in-process loop."""
+    """Neither shows in what comes out: all bits are those of the in-process loop.
+
+    The controller, which is not asked for longer than its time-out, commands zero meanwhile.
+    """
     readers = ['encoder', 'observer']
     made = plan(
         record=False,
         simulator={
             'duration': 0.0,
             'expected_subscribers': readers,
-            'resend_interval': 0.05,
             'controller_timeout': FOR_EVER,
             'response_timeout': FOR_EVER,
         },
