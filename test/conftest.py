@@ -66,7 +66,7 @@ hypothesis.settings.load_profile('dpc_ros')
 READER_IN_NODE = Path(__file__).parent / 'bag' / 'reader_in_node'
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
-_PROMISES = pytest.StashKey[list]()
+_PROMISES = pytest.StashKey[dict]()
 
 
 def pytest_addoption(parser):
@@ -76,17 +76,44 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    config.stash[_PROMISES] = []
+    config.stash[_PROMISES] = {}
+
+
+def pytest_generate_tests(metafunc):
+    """Repeat a test that puts its fault in once, and says in its mark what it promises."""
+    mark = metafunc.definition.get_closest_marker('faults')
+    if mark is not None and mark.kwargs:
+        count = min(metafunc.config.getoption('--repetitions'), mark.kwargs.get('most', 50))
+        if count > 1:
+            metafunc.fixturenames.append('_repetition')
+            metafunc.parametrize('_repetition', range(count))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    mark = item.get_closest_marker('faults')
+    if mark is not None and mark.kwargs and report.when == 'call' and report.passed:
+        named = {key: mark.kwargs[key] for key in ('fault', 'promise', 'mode')}
+        row = _promise(item, **named)
+        row['repetitions'] += 1
+    return report
 
 
 def pytest_sessionfinish(session, exitstatus):
     path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
     if path and exitstatus == 0:
-        write_results(path, rows)
+        write_results(path, [*rows.values()])
+
+
+@pytest.fixture
+def _repetition(request):
+    return request.param
 
 
 @pytest.fixture
 def repetitions(request):
+    """How often a test that repeats its fault itself is to do so."""
     return request.config.getoption('--repetitions')
 
 
@@ -95,28 +122,19 @@ def kept_promise(request):
     """Return a function: notes a promise that held in every repetition, and the times measured."""
 
     def note(fault, promise, mode, repetitions, reaction=(), recovery=()):
-        request.config.stash[_PROMISES].append(
-            {
-                'fault': fault,
-                'promise': promise,
-                'mode': mode,
-                'test': request.node.name,
-                'repetitions': repetitions,
-                **_summary('reaction', reaction),
-                **_summary('recovery', recovery),
-            }
-        )
+        row = _promise(request.node, fault, promise, mode)
+        row['repetitions'] += repetitions
+        for name, seconds in (('reaction', reaction), ('recovery', recovery)):
+            if seconds:
+                row[f'{name}_median_ms'] = 1e3 * statistics.median(seconds)
+                row[f'{name}_max_ms'] = 1e3 * max(seconds)
 
     return note
 
 
-def _summary(name, seconds):
-    if not seconds:
-        return {}
-    return {
-        f'{name}_median_ms': 1e3 * statistics.median(seconds),
-        f'{name}_max_ms': 1e3 * max(seconds),
-    }
+def _promise(item, fault, promise, mode):
+    row = {'fault': fault, 'mode': mode, 'promise': promise, 'test': item.originalname}
+    return item.config.stash[_PROMISES].setdefault(tuple(row.values()), row | {'repetitions': 0})
 
 
 def make_grid(rows, columns, seed=None, name='grid'):

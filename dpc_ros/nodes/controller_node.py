@@ -18,6 +18,7 @@ from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
 from dpc_ros.control import Answers, BackgroundSolver, OnlineController, Target, load_target
+from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
@@ -83,6 +84,7 @@ class ControllerNode(LoopNode):
                 self.settings['latent_timeout'], self._fall_silent, clock=self._steady_clock
             )
             self._watchdog.cancel()  # until the first force
+            self.health.watchdog = WATCHDOG_OK
         if self._first_target is None:
             self.say('waiting for a target on the topic')
         elif self._target_publisher is not None:
@@ -94,6 +96,7 @@ class ControllerNode(LoopNode):
         if self._watchdog is not None:
             self.destroy_timer(self._watchdog)
         self._watchdog = None
+        self.health.watchdog = NO_WATCHDOG
 
     def clean_up(self) -> None:
         self.deactivate()
@@ -161,8 +164,7 @@ class ControllerNode(LoopNode):
         self.publish(self._control_force, answer)
         if self._watchdog is not None:
             self._watchdog.reset()
-        if self.health.warning == _NO_LATENT_STATE:
-            self.health.warning = ''
+            self.health.watchdog = WATCHDOG_OK
         self.health.processed(time.perf_counter() - begin)
 
     def _force(self, stamp: Time, force: np.ndarray) -> WrenchStamped:
@@ -176,7 +178,7 @@ class ControllerNode(LoopNode):
             return
         _, answer = self._answers.newest
         self.publish(self._control_force, self._force(answer.header.stamp, np.zeros(2)))
-        self.health.warning = _NO_LATENT_STATE
+        self.health.watchdog = _NO_LATENT_STATE
         self.say(_NO_LATENT_STATE, problem=True)
 
     def _bring_in_force(self, stamp_ns: int, stamp: Time) -> None:

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import Answers, Controllers, DelayMeter, LatentObserver, OnlineEncoder
+from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
@@ -78,7 +79,7 @@ class EncoderNode(LoopNode):
         if self._watchdog is not None:
             self.destroy_timer(self._watchdog)
         self._watchdog = None
-        self._warn(_STALE, False)
+        self.health.watchdog = NO_WATCHDOG
 
     def clean_up(self) -> None:
         self.deactivate()
@@ -177,7 +178,9 @@ class EncoderNode(LoopNode):
         is_stale = (
             self._came_at is not None and 0 < longest < self._now() - self._came_at and self.active
         )
-        self._warn(_STALE, is_stale)
+        self.health.watchdog = _STALE if is_stale else WATCHDOG_OK
+        if is_stale:
+            self.say(_STALE)
 
     def _warn(self, problem: str, holds: bool) -> None:
         """Report a problem while it holds."""

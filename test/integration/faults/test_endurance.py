@@ -15,6 +15,7 @@ from dpc_ros.bag.metadata import LOSSES_RECORD
 from dpc_ros.nodes.messages import latent_names
 from dpc_ros.nodes.topics import TOPICS
 
+pytestmark = pytest.mark.faults
 TARGETS = 1000
 FLAT = 4e6  # byte by which a node may grow after its first minute, in nine more
 INPUTS = {

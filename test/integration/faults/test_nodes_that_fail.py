@@ -8,6 +8,7 @@ import pytest
 
 from dpc_ros.nodes.launch_plan import LOOP
 
+pytestmark = pytest.mark.faults
 TIMEOUT = 0.1  # s, after which a force is stale
 # What the timer's grid has in the time-out, with one tick that was late before it, and one within.
 FORCED_STEPS = round(TIMEOUT * 200) + 2
