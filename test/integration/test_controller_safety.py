@@ -181,6 +181,12 @@ def force_of(message):
     return force.tolist()
 
 
+@pytest.mark.faults(
+    fault='gain NaN, negative, 1e12; unknown law; one bad value of a set',
+    promise='refused as a whole with the reason, the old values stay in force',
+    mode='lockstep',
+    most=10,
+)
 def test_what_no_actuator_may_get_is_refused_and_what_is_good_counts_from_a_state_on(
     domain, observer
 ):
@@ -260,6 +266,12 @@ def is_gone(number):
     return state == 'Z'
 
 
+@pytest.mark.faults(
+    fault='latent states stop; law gives NaN; 1000 targets while one is solved; solver killed',
+    promise='zero force, reported; every state is answered; the last target ends in force',
+    mode='realtime',
+    most=10,
+)
 def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     controller = Controller(
         observer,
@@ -328,6 +340,12 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     assert is_gone(solver)
 
 
+@pytest.mark.faults(
+    fault='controller killed (`kill -9`) while it solves',
+    promise='its solver ends, too',
+    mode='realtime',
+    most=10,
+)
 def test_a_solver_ends_with_a_controller_that_was_killed(domain, observer, gate):
     """Also while it solves."""
     controller = Controller(observer, domain, 'law:=gated', 'solve_in_background:=true')

@@ -467,6 +467,12 @@ def flood(made):
     return [line for line in output.splitlines() if line.startswith('error:')]
 
 
+@pytest.mark.faults(
+    fault='disk full at the recorder',
+    promise='one clear error, the log is valid up to there',
+    mode='both',
+    most=10,
+)
 def test_a_full_disk_ends_with_one_clear_error_and_a_whole_log(recording, small_disk, tmp_path):
     made = recording(folder=small_disk / 'bag')
     (error,) = flood(made)

@@ -10,6 +10,12 @@ ENOUGH = 200_000  # bytes in the log when the recorder is killed: many chunks
 CHUNK_SIZE = 16_384  # bytes
 
 
+@pytest.mark.faults(
+    fault='recorder killed (`kill -9`)',
+    promise='`dpc bag repair` saves every complete chunk',
+    mode='both',
+    most=10,
+)
 def test_a_log_whose_recorder_was_killed_is_mended(domain, observer, plan, tmp_path, reference):
     made = plan(recorder={'chunk_size': CHUNK_SIZE}, simulator={'duration': 600.0})
     recorder = domain.start_node('recorder', made)

@@ -90,6 +90,12 @@ def distinct(states):
     return found
 
 
+@pytest.mark.faults(
+    fault='a second controller; simulator stopped for longer than its time-out',
+    promise='every force is rejected and reported, the body waits, then goes on bit for bit',
+    mode='lockstep',
+    most=10,
+)
 def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
     domain, observer, witness, plan, reference
 ):
@@ -135,6 +141,12 @@ def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
         np.testing.assert_array_equal(state.position, reference.configuration[k])
 
 
+@pytest.mark.faults(
+    fault='a second controller; forces that are too strong, late, or of a state to come',
+    promise='rejected and reported; no force acts from the next step on',
+    mode='realtime',
+    most=10,
+)
 def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     """Each step says by its very bits which force has acted in it."""
     made = plan(
@@ -250,6 +262,12 @@ def configuration(stamp, position=0.0, velocity=0.0):
     return message
 
 
+@pytest.mark.faults(
+    fault='configuration with NaN, Inf, huge values, bad stamps',
+    promise='rejected with the reason, nothing is published, the next good one is answered',
+    mode='both',
+    most=10,
+)
 def test_an_encoder_refuses_what_no_body_does(domain, observer, witness, plan):
     made = plan(record=False, encoder={'expected_subscribers': ['observer']})
     encoder = domain.start_node('encoder', made)
@@ -302,6 +320,12 @@ def test_an_encoder_refuses_what_no_body_does(domain, observer, witness, plan):
     assert 'Traceback' not in output
 
 
+@pytest.mark.faults(
+    fault='another simulator, whose time begins at zero',
+    promise='encoder and controller serve it without a restart',
+    mode='realtime',
+    most=10,
+)
 def test_another_simulator_in_realtime_is_a_new_epoch(domain, observer, witness, plan):
     """Encoder, observer and controller serve it without a restart, and count nothing as wrong."""
     made = plan(
