@@ -115,7 +115,7 @@ def run_processes(plan: LaunchPlan, stop: StopRequest) -> Outcome:
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
     processes = NodeProcesses(plan)
-    supervision = Supervision(plan, processes, monitor, monitor.say)
+    supervision = Supervision(plan, processes, monitor)
     try:
         processes.start()
         spin_until(executor, lambda: bool(stop) or supervision.is_over())

@@ -40,8 +40,9 @@ from dpc_ros.threads import single_threaded_algebra
 
 CRASHED = os.EX_SOFTWARE  # exit code after an error that is none of the user's
 _DIAGNOSTIC_PERIOD = 1.0  # s
-# Longer than the 3 s after which Fast DDS asks again for an acknowledgement that it misses.
-_ACKNOWLEDGE_TIMEOUT = Duration(seconds=5)
+# Together longer than the 3 s after which Fast DDS asks again for an acknowledgement it misses.
+_ACKNOWLEDGE_PERIODS = 5
+_ACKNOWLEDGE_PERIOD = Duration(seconds=1)
 _SPIN_PERIOD = 0.1  # s, within which a Ctrl-C is seen
 _REPORT_INTERVAL = 5.0  # s between two log lines about the same
 _MOST_LINES = 20  # about messages on one topic in that time
@@ -307,10 +308,15 @@ class LoopNode(LifecycleNode):
             self._report()
 
     def wait_until_acknowledged(self) -> None:
-        """Block until every matched subscription has what was published."""
+        """Block until every matched subscription has what was published; report meanwhile."""
+        periods = 0
         for publisher in self._outputs:
-            if not publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT):
-                self.get_logger().warning(f'not all of {publisher.topic_name} was acknowledged')
+            while not publisher.wait_for_all_acked(_ACKNOWLEDGE_PERIOD):
+                self._report()
+                periods += 1
+                if periods >= _ACKNOWLEDGE_PERIODS:
+                    self.get_logger().warning(f'not all of {publisher.topic_name} was acknowledged')
+                    break
 
     def close(self) -> None:
         """Let go of everything; the node is of no use afterwards."""

@@ -148,6 +148,11 @@ def target_message(target: Target, frame_id: str, stamp: int = 0) -> JointState:
     return message
 
 
+def is_latent(target: JointState) -> bool:
+    """Return whether a target is a latent state: its names say so."""
+    return bool(target.name) and target.name[0].startswith(LATENT_PREFIX)
+
+
 def read_target(
     message: JointState, frame_id: str, coordinate_names: Sequence[str], latent_size: int
 ) -> Target:
@@ -162,7 +167,7 @@ def read_target(
     Raises:
         MessageError: frame, names or size differ, or a value is not finite.
     """
-    latent = bool(message.name) and message.name[0].startswith(LATENT_PREFIX)
+    latent = is_latent(message)
     names = latent_names(latent_size) if latent else coordinate_names
     if message.name and list(message.name) != list(names):
         raise MessageError(f'expected the names {_brief(names)}, got {_brief(message.name)}')

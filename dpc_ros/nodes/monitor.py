@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
-from dpc_ros.nodes.messages import from_stamp
+from dpc_ros.nodes.messages import from_stamp, is_latent
 from dpc_ros.nodes.topics import TOPICS
 
 _REFRESH = 0.1  # s between two looks at the newest messages
@@ -32,6 +32,7 @@ class Monitor(Node):
         for topic in MONITORED:
             self._subscribe(topic)
         self._subscribe('target')
+        self._subscribe('target_in_force')
         endless = not np.isfinite(plan.duration)
         self._bar = tqdm(
             total=None if endless else plan.duration,
@@ -50,6 +51,14 @@ class Monitor(Node):
             return 0.0
         state = deserialize_message(self._newest['configuration'], JointState)
         return from_stamp(state.header.stamp) / NANOSECONDS
+
+    def target_in_force(self) -> dict[str, list[float]] | None:
+        """Return the target that the controller has announced last, as a target file has it."""
+        if 'target_in_force' not in self._newest:
+            return None
+        target = deserialize_message(self._newest['target_in_force'], JointState)
+        kind = 'latent' if is_latent(target) else 'configuration'
+        return {kind: [*target.position]}
 
     def say(self, line: str) -> None:
         """Show a line above the bar."""

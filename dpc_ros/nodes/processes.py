@@ -53,14 +53,18 @@ class NodeProcesses:
         for node in self._plan.nodes:
             self._start(node)
 
-    def restart(self, node: str) -> None:
-        """Start a node anew that has ended; a recorder leaves the bag that it had as it is."""
+    def restart(self, node: str, arguments: Iterable[str] = ()) -> None:
+        """Start a node anew that has ended; a recorder leaves the bag that it had as it is.
+
+        Args:
+            node: kind of the node.
+            arguments: of ROS that win over those of the plan.
+        """
         self.restarts[node] += 1
-        parameters = []
         if node == RECORDER:
             self.bags.append(further_folder(self.bags[0]))
-            parameters = ['-p', f'bag:={self.bags[-1]}']
-        self._start(node, parameters)
+            arguments = ('-p', f'bag:={self.bags[-1]}')
+        self._start(node, arguments)
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of the nodes that have ended."""
@@ -131,7 +135,7 @@ class NodeProcesses:
     def _log(self, node: str) -> Path:
         return self._plan.folder / 'log' / f'{node}.log'
 
-    def _start(self, node: str, parameters: Iterable[str] = ()) -> None:
+    def _start(self, node: str, arguments: Iterable[str] = ()) -> None:
         environment = {
             **os.environ,
             PARENT_VARIABLE: str(os.getpid()),
@@ -142,7 +146,7 @@ class NodeProcesses:
         with self._log(node).open('ab') as log, _interrupts_wait():
             self._log_begins[node] = log.tell()
             self._processes[node] = subprocess.Popen(
-                [*command, *self._plan.ros_arguments(node), *parameters],
+                [*command, *self._plan.ros_arguments(node), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

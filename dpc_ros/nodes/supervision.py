@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Iterable
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 
 from dpc_ros.nodes.health import PROCESS_READING
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import NodeProcesses
 
 _HOPELESS = 3  # times the silence after which it is reported, then the node is started anew
@@ -27,30 +28,23 @@ class Supervision:
     Args:
         plan: what runs, how many restarts it may need and which silence is too long.
         processes: the nodes.
-        node: of the launcher; it hears what the others report.
-        say: shows a line to the user.
+        monitor: hears what the nodes report and what they do, and shows lines to the user.
 
     Attributes:
         failure: why the run can't go on; empty while it can.
         exit_code: for it: that of a node that ended with a reason, else 1.
     """
 
-    def __init__(
-        self,
-        plan: LaunchPlan,
-        processes: NodeProcesses,
-        node: Node,
-        say: Callable[[str], None],
-    ) -> None:
+    def __init__(self, plan: LaunchPlan, processes: NodeProcesses, monitor: Monitor) -> None:
         self._plan = plan
         self._processes = processes
-        self._say = say
+        self._monitor = monitor
         self._silent_for: dict[str, float] = {}  # s, by number of the process
         self._reported: set[str] = set()  # processes whose silence was
         self._looked_at = time.monotonic()
         self.failure = ''
         self.exit_code = 0
-        node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 10)
+        monitor.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 10)
 
     def is_over(self) -> bool:
         """See to the nodes; return whether the leader has come to its end, or the run failed."""
@@ -79,10 +73,10 @@ class Supervision:
             self._restart(node, f'{node} was killed: it has not reported for {silent_for:.0f} s')
         elif silent_for > self._plan.silence and process not in self._reported:
             self._reported.add(process)
-            self._say(f'{node} has not reported for {silent_for:.0f} s')
+            self._monitor.say(f'{node} has not reported for {silent_for:.0f} s')
         elif silent_for == 0.0 and process in self._reported:
             self._reported.remove(process)
-            self._say(f'{node} reports again')
+            self._monitor.say(f'{node} reports again')
 
     def _restart(self, node: str, why: str) -> None:
         done = self._processes.restarts.total()
@@ -90,14 +84,23 @@ class Supervision:
             limit = f', and --restarts {self._plan.restarts} allows no more' if done else ''
             self._give_up(why + limit, 1)
             return
-        self._processes.restart(node)
+        self._processes.restart(node, self._target() if node == 'controller' else ())
         consequence = ''
         if node == RECORDER:
             *_, before, after = self._processes.bags
             consequence = f'; what follows is recorded in {after}, `dpc bag repair` mends {before}'
         elif node == self._plan.leader:
             consequence = '; the body begins again at rest, and its duration counts anew'
-        self._say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
+        self._monitor.say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
+
+    def _target(self) -> Iterable[str]:
+        """Return the arguments by which a controller begins with the target that was in force."""
+        target = self._monitor.target_in_force()
+        if target is None:
+            return ()
+        path = self._plan.folder / 'target_in_force.json'
+        path.write_text(json.dumps(target))
+        return ('-p', f'target:={path}')
 
     def _give_up(self, why: str, exit_code: int) -> None:
         self.failure, self.exit_code = why, exit_code

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from dpc_ros.bag.repair import repair
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.stop import PARENT_VARIABLE
-from dpc_ros.nodes.topics import LOOP_QOS
+from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
 from dpc_ros.resources import config_path
 
 GIVE_UP = 120.0  # s after which a test stops waiting
@@ -27,6 +28,7 @@ LOOP = ('simulator', 'encoder', 'controller')
 NODES = ('recorder', *LOOP)
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
+LOOK_PERIOD = 0.1  # s between two looks at what processes have mapped
 COMMON_SERVICES = (
     *('change_state', 'get_state', 'get_available_states', 'get_available_transitions'),
     *('get_transition_graph', 'describe_parameters', 'get_parameter_types', 'get_parameters'),
@@ -259,15 +261,23 @@ class Launched:
         self.stamps = []
         self.output = ''
         self.memory = set()
+        self.looked_at = 0.0
         node = observer.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._take_report, 10)
-        node.create_subscription(JointState, 'configuration', self._take_state, LOOP_QOS)
-        # The run can be over before the observer is discovered: it is waited for, too.
+        # The run begins when the observer is there, and not before.
         readers = '[encoder, recorder, launcher, observer]'
         self.launcher = domain.start(
             'launcher',
             *('--output', str(folder), '--set', f'simulator.expected_subscribers={readers}'),
             *arguments,
+        )
+
+    def begin(self, *names):
+        """Let the run begin once nodes have reported."""
+        for name in names:
+            self.wait(lambda: name in self.processes, f'a report of {name}')  # noqa: B023
+        self.observer.node.create_subscription(
+            JointState, 'configuration', self._take_state, LOOP_QOS
         )
 
     def _take_report(self, message):
@@ -294,13 +304,16 @@ class Launched:
         self.wait(lambda: self.processes.get(name, process) != process, f'another {name}')
 
     def end(self):
-        self.observer.wait(self.has_ended, 'the end of the run')
+        self.observer.wait(lambda: self.has_said('') and self.has_ended(), 'the end of the run')
         self.has_said('')
         return self.launcher.returncode, self.output
 
     def has_ended(self):
-        for process in (self.launcher.pid, *self.nodes()):
-            self.memory |= self.domain.shared_memory(process)
+        now = time.monotonic()
+        if now - self.looked_at > LOOK_PERIOD:
+            self.looked_at = now
+            for process in (self.launcher.pid, *self.nodes()):
+                self.memory |= self.domain.shared_memory(process)
         return self.launcher.poll() is not None
 
     def has_said(self, text):
@@ -336,7 +349,8 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     """In lockstep nothing shows it afterwards."""
     options = ('--silence', '2', '--set=simulator.resend_interval=0.05')
     run = Launched(domain, observer, tmp_path / 'run', *options)
-    run.wait(lambda: run.stamps and run.stamps[-1] >= 10**9, 'a second of the run')
+    run.begin('encoder', 'controller')
+    run.wait(lambda: len(run.stamps) > 2, 'the first steps')
     run.signal('encoder', signal.SIGSTOP)
     run.signal('controller', signal.SIGKILL)
     code, output = run.end()
@@ -344,7 +358,7 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     assert_repeats(tmp_path / 'run' / 'bag')
     assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
     assert 'encoder was killed: it has not reported' in output
-    assert 'restarts    controller 1, encoder 1' in output
+    assert 'restarts    controller 1, encoder 1\n' in output
     log = (tmp_path / 'run' / 'log' / 'encoder.log').read_text()
     assert log.count('configured') == 2
 
@@ -356,23 +370,29 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     most=10,
 )
 def test_a_recorder_and_a_simulator_that_crash(domain, observer, tmp_path):
-    run = Launched(domain, observer, tmp_path / 'run', '--duration', '2', '--realtime')
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0', '--realtime')
+    run.begin()
     advance(observer, run.stamps)
     run.wait_for_another('recorder', run.signal('recorder', signal.SIGKILL))
-    run.wait_for_another('simulator', run.signal('simulator', signal.SIGKILL))
+    run.signal('simulator', signal.SIGKILL)
+    run.wait(lambda: run.stamps[-1] < run.stamps[-2], 'the motion to begin again')
+    advance(observer, run.stamps)
+    run.launcher.send_signal(signal.SIGINT)
     code, output = run.end()
-    assert code == 0, output
+    assert code == 130, output
     bags = [tmp_path / 'run' / name for name in ('bag', 'bag_1')]
     assert f'what follows is recorded in {bags[1]}' in output
     assert 'the body begins again at rest' in output
-    assert 'restarts    recorder 1, simulator 1' in output
+    assert 'restarts: recorder 1, simulator 1' in output
     repair(bags[0], tmp_path / 'repaired')
     assert len(read_run(tmp_path / 'repaired').configuration) > 0
-    stamps = [
-        from_stamp(m.content.header.stamp) for m in read_messages(bags[1], {'/configuration'})
-    ]
-    begin = stamps.index(0)  # the duration is that of the second motion
-    assert stamps[begin:] == [step * 5_000_000 for step in range(401)]
+    logged = read_messages(bags[1], {'/configuration'})
+    stamps = [from_stamp(message.content.header.stamp) for message in logged]
+    begin = stamps.index(0)
+    assert begin > 0  # the motion before is in there, too
+    repeated = stamps.count(0) - 1  # until the first answer
+    expected = [0] * repeated + [step * 5_000_000 for step in range(len(stamps) - begin - repeated)]
+    assert stamps[begin:] == expected
 
 
 @pytest.mark.faults(
@@ -382,10 +402,22 @@ def test_a_recorder_and_a_simulator_that_crash(domain, observer, tmp_path):
     most=10,
 )
 def test_after_too_many_crashes_the_body_is_under_no_force(domain, observer, tmp_path):
+    """Up to then a controller that is started anew goes on with the target that was in force."""
     options = ('--duration', '0', '--realtime', '--restarts', '1')
     run = Launched(domain, observer, tmp_path / 'run', *options)
-    advance(observer, run.stamps)
+    run.begin()
+    in_force = []
+    take = in_force.append
+    observer.node.create_subscription(JointState, 'target_in_force', take, IN_FORCE_QOS)
+    target = observer.node.create_publisher(JointState, 'target', TARGET_QOS)
+    given = load_network('paper_2').rest_configuration
+    observer.wait(lambda: in_force, 'the first target')
+    target.publish(JointState(position=[*given]))
+    observer.wait(lambda: len(in_force) > 1, 'another target')
+    observer.node.destroy_publisher(target)
     run.wait_for_another('controller', run.signal('controller', signal.SIGKILL))
+    observer.wait(lambda: len(in_force) > 2, 'the target of the new controller')
+    np.testing.assert_array_equal(in_force[-1].position, given)
     run.signal('controller', signal.SIGKILL)
     code, output = run.end()
     assert code == 1, output
@@ -415,7 +447,6 @@ MILESTONES = {
     'node processes': lambda run: (run.folder / 'log' / 'controller.log').exists(),
     'shared memory': lambda run: '/dev/shm/fast' in maps(run.launcher),
     'bag': lambda run: (run.folder / 'bag').exists(),
-    'simulator': lambda run: 'simulator' in run.observer.node.get_node_names(),
     'first state': lambda run: bool(run.stamps),
 }
 
@@ -430,6 +461,7 @@ MILESTONES = {
 def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milestone):
     """With one more while it is finishing, if it gets that far."""
     run = Launched(domain, observer, tmp_path / 'run', '--duration', '0')
+    run.begin()
     run.wait(lambda: MILESTONES[milestone](run), milestone)
     run.launcher.send_signal(signal.SIGINT)
     run.observer.wait(lambda: run.has_said('finishing') or run.has_ended(), 'the end')
@@ -511,6 +543,7 @@ LARGEST_GROWTH = 4 * 2**20  # bytes, over all cycles but the first two
 def test_starting_and_stopping_leaves_nothing(domain, observer, tmp_path, cycles, kept_promise):
     for cycle in range(cycles):
         run = Launched(domain, observer, tmp_path / f'run_{cycle}', '--duration', '0.05')
+        run.begin()
         code, output = run.end()
         assert code == 0, output
         run.assert_nothing_is_left()
