@@ -58,7 +58,7 @@ def open_files(process: int | str) -> list[str]:
     return names
 
 
-def held_shared_memory(process: int) -> set[Path]:
+def held_shared_memory(process: int | str) -> set[Path]:
     """Return what a process owns or has mapped."""
     maps = Path(f'/proc/{process}/maps').read_text().splitlines()
     return named_shared_memory(maps + open_files(process))
@@ -77,6 +77,7 @@ class Domain:
     number: int
     processes: list[subprocess.Popen] = field(default_factory=list)
     left_behind: set[Path] = field(default_factory=set)
+    there_before: set[Path] = field(default_factory=lambda: {*SHARED_MEMORY.iterdir()})
 
     @property
     def environment(self) -> dict[str, str]:
@@ -115,17 +116,21 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
-    def shared_memory(self, process: int) -> set[Path]:
+    def shared_memory(self, process: int | str) -> set[Path]:
         """Return what a process owns or has mapped, nothing if it has ended."""
         try:
             return held_shared_memory(process)
         except OSError:
             return set()
 
-    def without_owner(self, memory: set[Path]) -> set[Path]:
-        """Return what of some shared memory is left with no living owner, and not used here."""
-        used = owned_shared_memory() | held_shared_memory(os.getpid())
-        return {path for path in memory - used if path.exists()}
+    def unused(self, memory: set[Path]) -> set[Path]:
+        """Return what of some shared memory is left though no living process uses it.
+
+        Ports have names that are used again, also for what a killed process has left behind before.
+        """
+        processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
+        used = {path for process in processes for path in self.shared_memory(process)}
+        return {path for path in memory - used - self.there_before if path.exists()}
 
     def will_leave_behind(self, process: int) -> None:
         """Remember the shared memory that a process can't remove any more once it is killed."""
