@@ -77,7 +77,6 @@ class Domain:
     number: int
     processes: list[subprocess.Popen] = field(default_factory=list)
     left_behind: set[Path] = field(default_factory=set)
-    there_before: set[Path] = field(default_factory=lambda: {*SHARED_MEMORY.iterdir()})
 
     @property
     def environment(self) -> dict[str, str]:
@@ -126,11 +125,13 @@ class Domain:
     def unused(self, memory: set[Path]) -> set[Path]:
         """Return what of some shared memory is left though no living process uses it.
 
-        Ports have names that are used again, also for what a killed process has left behind before.
+        Ports are left out: their names are those of any process of the machine, in any domain, and
+        one that was killed can leave a port behind that all who have it after it can't remove.
         """
         processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
         used = {path for process in processes for path in self.shared_memory(process)}
-        return {path for path in memory - used - self.there_before if path.exists()}
+        segments = {path for path in memory - used if '_port' not in path.name}
+        return {path for path in segments if path.exists()}
 
     def will_leave_behind(self, process: int) -> None:
         """Remember the shared memory that a process can't remove any more once it is killed."""
