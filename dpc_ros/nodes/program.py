@@ -7,6 +7,7 @@ order: it just ends.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 from functools import partial
@@ -23,6 +24,9 @@ def end_quietly(program: str) -> None:
     code = 0 if program.endswith('_node') else _INTERRUPTED
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as a shell does in the background
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(code))
+    atexit.register(
+        signal.signal, signal.SIGINT, signal.SIG_IGN
+    )  # at the end nothing is left to do
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 

@@ -58,7 +58,7 @@ def open_files(process: int | str) -> list[str]:
     return names
 
 
-def held_shared_memory(process: int) -> set[Path]:
+def held_shared_memory(process: int | str) -> set[Path]:
     """Return what a process owns or has mapped."""
     maps = Path(f'/proc/{process}/maps').read_text().splitlines()
     return named_shared_memory(maps + open_files(process))
@@ -115,17 +115,23 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
-    def shared_memory(self, process: int) -> set[Path]:
+    def shared_memory(self, process: int | str) -> set[Path]:
         """Return what a process owns or has mapped, nothing if it has ended."""
         try:
             return held_shared_memory(process)
         except OSError:
             return set()
 
-    def without_owner(self, memory: set[Path]) -> set[Path]:
-        """Return what of some shared memory is left with no living owner, and not used here."""
-        used = owned_shared_memory() | held_shared_memory(os.getpid())
-        return {path for path in memory - used if path.exists()}
+    def unused(self, memory: set[Path]) -> set[Path]:
+        """Return what of some shared memory is left though no living process uses it.
+
+        Ports are left out: their names are those of any process of the machine, in any domain, and
+        one that was killed can leave a port behind that all who have it after it can't remove.
+        """
+        processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
+        used = {path for process in processes for path in self.shared_memory(process)}
+        segments = {path for path in memory - used if '_port' not in path.name}
+        return {path for path in segments if path.exists()}
 
     def will_leave_behind(self, process: int) -> None:
         """Remember the shared memory that a process can't remove any more once it is killed."""
