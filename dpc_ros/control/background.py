@@ -23,6 +23,9 @@ class BackgroundSolver(Solver):
 
     Args:
         parameters: of the controller node, by name.
+
+    Raises:
+        OSError: the process can't be started.
     """
 
     is_here = False
@@ -65,11 +68,11 @@ class BackgroundSolver(Solver):
         self._connection.send(self._parameters)
 
     def _send(self) -> None:
-        if self._process.poll() is not None:
-            self.close()
-            self._start()
         self._tries += 1
-        with suppress(OSError):  # it has just ended, as receiving will tell
+        with suppress(OSError):  # it has just ended, or can't be started: receiving will tell
+            if self._process.poll() is not None:
+                self.close()
+                self._start()
             self._connection.send(self._question)
 
     def _receive(self) -> Answer | None:

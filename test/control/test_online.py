@@ -18,6 +18,12 @@ A, B, C = (Target(latent=np.full(5, value)) for value in (0.1, -0.2, 0.4))
 NOWHERE = Target(latent=np.zeros(2))
 
 
+@pytest.fixture(autouse=True)
+def as_nodes_do():
+    with single_threaded_algebra():
+        yield
+
+
 class Counting(SolverHere):
     """Keeps what it was asked."""
 
@@ -116,20 +122,35 @@ def test_another_gain_does_not_forget_what_was_integrated():
     np.testing.assert_allclose(controller.law._constant, integrated, rtol=0, atol=1e-12)
 
 
+def test_a_question_that_ends_every_process_is_given_up(monkeypatch):
+    background = BackgroundSolver(PARAMETERS)
+    try:
+        background.ask(Question(OF_LAW, A))
+        assert not background.wait().problem
+        for parameters in ({'network': 'none'}, PARAMETERS):  # as if the next could not be started
+            monkeypatch.setattr(background, '_parameters', parameters)
+            background._process.kill()
+            background._process.wait()
+            background.ask(Question(OF_LAW, A))
+            answer = background.wait()
+            assert ('ended with 1' in answer.problem) == (parameters is not PARAMETERS)
+    finally:
+        background.close()
+
+
 def test_another_process_gives_the_same_bits(solver):
     parameters = {**OF_LAW, 'law': 'lqr'}
     background = BackgroundSolver(PARAMETERS)
     try:
-        with single_threaded_algebra():
-            for target in (B, NOWHERE, C):
-                question = Question(parameters, target)
-                background.ask(question)
-                solver.ask(question)
-                there, here = background.wait(), solver.wait()
-                assert there.problem == here.problem
-                assert bool(here.problem) == (target is NOWHERE)
-                if target is not NOWHERE:
-                    for name, value in vars(here.solution).items():
-                        np.testing.assert_array_equal(getattr(there.solution, name), value)
+        for target in (B, NOWHERE, C):
+            question = Question(parameters, target)
+            background.ask(question)
+            solver.ask(question)
+            there, here = background.wait(), solver.wait()
+            assert there.problem == here.problem
+            assert bool(here.problem) == (target is NOWHERE)
+            if target is not NOWHERE:
+                for name, value in vars(here.solution).items():
+                    np.testing.assert_array_equal(getattr(there.solution, name), value)
     finally:
         background.close()
