@@ -79,6 +79,17 @@ def pytest_configure(config):
     config.stash[_PROMISES] = {}
 
 
+def pytest_collection_modifyitems(items):
+    """Keep the tests of a file, and all those with processes on DDS, in one of several workers.
+
+    Ports in the shared memory of Fast DDS belong to all domains of a machine.
+    """
+    for item in items:
+        folder = Path(item.path).relative_to(Path(__file__).parent)
+        is_on_dds = folder.parts[0] in ('integration', 'nodes', 'packaging')
+        item.add_marker(pytest.mark.xdist_group('dds' if is_on_dds else str(folder)))
+
+
 def pytest_generate_tests(metafunc):
     """Repeat a test that puts its fault in once, and says in its mark what it promises."""
     mark = metafunc.definition.get_closest_marker('faults')

@@ -149,7 +149,7 @@ class SimulatorNode(LoopNode):
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
         except MessageError as error:
-            self._refuse(error)
+            self._refuse_force(error)
             return
         try:
             now = self._now()
@@ -163,7 +163,7 @@ class SimulatorNode(LoopNode):
         except MessageError as error:
             if self._realtime:
                 self._let_go()
-            self._refuse(error)
+            self._refuse_force(error)
             return
         self.health.round_trips.answered(stamp)
         self._force, self._answer_stamp, self._refusal = force, stamp, ''
@@ -195,7 +195,7 @@ class SimulatorNode(LoopNode):
         if strength > limit:
             raise MessageError(f'expected at most {limit:g} N, got {strength:g}')
 
-    def _refuse(self, error: MessageError) -> None:
+    def _refuse_force(self, error: MessageError) -> None:
         self._refusal = str(error)
         self.reject('control_force', error)
         self._warn()

@@ -17,6 +17,7 @@ from dpc_ros.bag import read_run
 from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.bag.repair import repair
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
+from dpc_ros.nodes.health import PROCESS_READING
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
@@ -283,7 +284,7 @@ class Launched:
     def _take_report(self, message):
         for status in message.status:
             values = {each.key: each.value for each in status.values}
-            self.processes[status.name] = int(values['process'])
+            self.processes[status.name] = int(values[PROCESS_READING])
 
     def _take_state(self, message):
         self.stamps.append(from_stamp(message.header.stamp))

@@ -16,6 +16,12 @@ from dpc_ros.resources import config_path
 
 LOOP = ('simulator', 'encoder', 'controller')
 REALTIME = ('--ros-args', '--params-file', str(config_path('realtime.yaml')))
+ORDERS = [
+    pytest.param(
+        order, id='-'.join(order), marks=[] if order[0] == 'controller' else pytest.mark.long
+    )
+    for order in itertools.permutations(LOOP)
+]
 # A recorder's subscriptions may be found later than those of the loop.
 READERS = {
     'simulator': '[encoder, recorder]',
@@ -30,7 +36,7 @@ READERS = {
     mode='realtime',
     most=10,
 )
-@pytest.mark.parametrize('order', list(itertools.permutations(LOOP)), ids='-'.join)
+@pytest.mark.parametrize('order', ORDERS)
 def test_nodes_started_by_hand_converge_in_any_order(
     domain, observer, tmp_path, order, assert_nothing_lost
 ):
