@@ -79,6 +79,7 @@ def pytest_configure(config):
     config.stash[_PROMISES] = {}
 
 
+@pytest.hookimpl(tryfirst=True)  # before the names of groups are read
 def pytest_collection_modifyitems(items):
     """Keep the tests of a file, and all those with processes on DDS, in one of several workers.
 

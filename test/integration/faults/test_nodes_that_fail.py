@@ -6,9 +6,8 @@ from time import monotonic
 import numpy as np
 import pytest
 
-from dpc_ros.nodes.launch_plan import LOOP
-
 pytestmark = pytest.mark.faults
+LONG = pytest.mark.long  # where another case of the same is in every run
 TIMEOUT = 0.1  # s, after which a force is stale
 # What the timer's grid has in the time-out, with one tick that was late before it, and one within.
 FORCED_STEPS = round(TIMEOUT * 200) + 2
@@ -56,7 +55,7 @@ def time_of_freedom(loop, moved_by):
     return free[0][3], len(forced)
 
 
-@pytest.mark.parametrize('kind', ['encoder', 'controller'])
+@pytest.mark.parametrize('kind', ['encoder', pytest.param('controller', marks=LONG)])
 def test_lockstep_waits_for_a_killed_node(
     loop, kind, assert_repeats_states, repetitions, kept_promise
 ):
@@ -103,8 +102,15 @@ def test_lockstep_begins_anew_with_a_killed_simulator(
     )
 
 
-@pytest.mark.parametrize('kind', ['encoder', 'controller'])
-@pytest.mark.parametrize('fault', ['killed', 'stopped'])
+@pytest.mark.parametrize(
+    ('fault', 'kind'),
+    [
+        ('killed', 'controller'),
+        ('stopped', 'encoder'),
+        pytest.param('killed', 'encoder', marks=LONG),
+        pytest.param('stopped', 'controller', marks=LONG),
+    ],
+)
 def test_a_body_whose_brain_is_gone_is_left_alone(
     loop, kind, fault, moved_by, repetitions, kept_promise
 ):
@@ -134,7 +140,9 @@ def test_a_body_whose_brain_is_gone_is_left_alone(
     )
 
 
-@pytest.mark.parametrize('kind', LOOP)
+@pytest.mark.parametrize(
+    'kind', ['controller', *(pytest.param(kind, marks=LONG) for kind in ('simulator', 'encoder'))]
+)
 def test_lockstep_waits_for_a_stopped_node(
     loop, kind, assert_repeats_states, repetitions, kept_promise, passed
 ):
