@@ -11,7 +11,7 @@ ROS ?= jazzy
 VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
 BIN := $(VENV)/bin
 ARGS ?=
-WORKERS ?= --numprocesses 2 --dist loadgroup
+WORKERS ?= --numprocesses 2
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 # The nodes of this machine only; the default of ROS announces them to the subnet.

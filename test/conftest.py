@@ -26,6 +26,7 @@ from mcap.exceptions import McapError
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
+from xdist.scheduler import LoadScopeScheduling
 
 # Not rooms with compiled loops: numba has to see their functions as they are.
 SHAPE_CHECKED = (
@@ -79,16 +80,19 @@ def pytest_configure(config):
     config.stash[_PROMISES] = {}
 
 
-@pytest.hookimpl(tryfirst=True)  # before the names of groups are read
-def pytest_collection_modifyitems(items):
-    """Keep the tests of a file, and all those with processes on DDS, in one of several workers.
+class _BySubject(LoadScopeScheduling):
+    """Keeps the tests of a file, and all those with processes on DDS, in one of several workers.
 
     Ports in the shared memory of Fast DDS belong to all domains of a machine.
     """
-    for item in items:
-        folder = Path(item.path).relative_to(Path(__file__).parent)
-        is_on_dds = folder.parts[0] in ('integration', 'nodes', 'packaging')
-        item.add_marker(pytest.mark.xdist_group('dds' if is_on_dds else str(folder)))
+
+    def _split_scope(self, nodeid):
+        is_on_dds = nodeid.startswith(('test/integration/', 'test/nodes/', 'test/packaging/'))
+        return 'dds' if is_on_dds else nodeid.partition('::')[0]
+
+
+def pytest_xdist_make_scheduler(config, log):
+    return _BySubject(config, log)
 
 
 def pytest_generate_tests(metafunc):
