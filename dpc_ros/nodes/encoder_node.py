@@ -13,7 +13,6 @@ from rclpy.context import Context
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import Answers, Controllers, DelayMeter, LatentObserver, OnlineEncoder
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
@@ -101,7 +100,7 @@ class EncoderNode(LoopNode):
         except MessageError as error:
             self.reject('configuration', error)
             return
-        self._came_at = self._now()
+        self._came_at = self.steady_time()
         if self._delay is not None:
             if self._answers.starts_epoch(stamp):
                 self._delay.restart()
@@ -141,7 +140,7 @@ class EncoderNode(LoopNode):
                 return
             if stamp > newest:
                 raise MessageError('its stamp is that of no state so far')
-            now = self._now()
+            now = self.steady_time()
             force = self._controllers.hear(read_controller(message), stamp, force, now)
             self._check_controllers(now)
         except MessageError as error:
@@ -176,7 +175,9 @@ class EncoderNode(LoopNode):
         """Report where no configuration has come for too long; nothing is published meanwhile."""
         longest = self.settings['configuration_timeout']
         is_stale = (
-            self._came_at is not None and 0 < longest < self._now() - self._came_at and self.active
+            self._came_at is not None
+            and 0 < longest < self.steady_time() - self._came_at
+            and self.active
         )
         self.health.watchdog = _STALE if is_stale else WATCHDOG_OK
         if is_stale:
@@ -189,9 +190,6 @@ class EncoderNode(LoopNode):
             self.say(problem)
         elif self.health.warning == problem:
             self.health.warning = ''
-
-    def _now(self) -> float:
-        return self._steady_clock.now().nanoseconds / NANOSECONDS
 
     def _measure(
         self, delay: DelayMeter, observer: LatentObserver, stamp: int, received: int

@@ -279,6 +279,10 @@ class LoopNode(LifecycleNode):
         text = f'rejected a message on {topic}: {error}'
         self.say(text[:_LONGEST_LINE], problem=True, source=topic)
 
+    def steady_time(self) -> float:
+        """Return the time of a clock that nobody sets [s]."""
+        return self._steady_clock.now().nanoseconds / NANOSECONDS
+
     def say(self, text: str, problem: bool = False, source: str = '') -> None:
         """Log a line, the same one only every few seconds.
 
@@ -287,7 +291,7 @@ class LoopNode(LifecycleNode):
             problem: whether it is an error.
             source: whose different lines are to be no flood, where others make them up.
         """
-        now = self._steady_clock.now().nanoseconds / NANOSECONDS
+        now = self.steady_time()
         self._said = {
             line: time for line, time in self._said.items() if now - time < _REPORT_INTERVAL
         }

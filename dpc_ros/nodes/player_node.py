@@ -101,7 +101,7 @@ class PlayerNode(LoopNode):
         self._following: RawMessage | None = None
 
     def activate(self) -> None:
-        self._published_at = self._now()
+        self._published_at = self.steady_time()
         self._patience = Patience(_MATCHING_PERIOD)
         self._patience.begin(self._published_at)
         if self._begun and not self._lockstep:
@@ -189,11 +189,11 @@ class PlayerNode(LoopNode):
         if not rate:
             return 0.0
         recorded = (message.log_time_ns - self._anchor_ns) / NANOSECONDS
-        return self._anchor_at + recorded / rate - self._now()
+        return self._anchor_at + recorded / rate - self.steady_time()
 
     def _anchor(self) -> None:
         """Let the next message be due now; the log's start be due now before the first."""
-        self._anchor_at = self._now()
+        self._anchor_at = self.steady_time()
         if self._following is not None:
             self._anchor_ns = max(self._following.log_time_ns, self._start_ns)
 
@@ -248,13 +248,13 @@ class PlayerNode(LoopNode):
         if step.before:
             self.wait_until_acknowledged()
         self._step, self._answered = step, False
-        self._patience.begin(self._now())
+        self._patience.begin(self.steady_time())
         self._play_state(step)
 
     def _play_state(self, step: Step) -> None:
         self.health.round_trips.sent(step.stamp)
         self._play(step.configuration)
-        self._published_at = self._now()
+        self._published_at = self.steady_time()
 
     def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
         if not self.receive('control_force', info):
@@ -285,13 +285,13 @@ class PlayerNode(LoopNode):
             return
         which = 'response_timeout' if self._running else 'startup_timeout'
         limit = self.settings[which] or math.inf
-        if self._patience.look(self._now()) > limit:
+        if self._patience.look(self.steady_time()) > limit:
             self.fail(
                 f'no control_force for the configuration at {self._step.stamp / NANOSECONDS:g} s '
                 f'within {which} = {limit:g} s: are encoder and controller running, and has the '
                 'controller a target?'
             )
-        elif self._now() - self._published_at >= self.settings['resend_interval']:
+        elif self.steady_time() - self._published_at >= self.settings['resend_interval']:
             self._play_state(self._step)
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -321,9 +321,6 @@ class PlayerNode(LoopNode):
             else:
                 self._play_following()
         return response
-
-    def _now(self) -> float:
-        return self._steady_clock.now().nanoseconds / NANOSECONDS
 
 
 def offered_quality(profiles: tuple[QosProfile, ...]) -> QoSProfile:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
@@ -81,12 +80,10 @@ class SimulatorNode(LoopNode):
         self._controllers = Controllers(settings['controller_timeout'])
         self._patience = Patience(settings['resend_interval'])
         self._refusal = ''  # why the last force was rejected, where none was taken since
-        self._is_stale = False
         self._warned = ''
         self._limited = 0  # steps
         self._let_go()
         self._pushes: dict[int, tuple[int, np.ndarray]] = {}
-        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._configuration = self.create_output('configuration')
         self._clock_publisher = (
             self.create_output('/clock', Topic(ClockMessage, QoSProfile(depth=1)))
@@ -102,10 +99,10 @@ class SimulatorNode(LoopNode):
         ]
 
     def activate(self) -> None:
-        self._published_at = self._now()
+        self._published_at = self.steady_time()
         self._begin_waiting()
         self._watchdog = self.create_timer(
-            self.settings['resend_interval'], self._watch, clock=self._wall
+            self.settings['resend_interval'], self._watch, clock=self._steady_clock
         )
         self._publish_state()
 
@@ -114,7 +111,7 @@ class SimulatorNode(LoopNode):
             if timer is not None:
                 self.destroy_timer(timer)
         self._watchdog = self._stepper = None
-        self._running = self._is_stale = False
+        self._running = False
         self.health.watchdog = NO_WATCHDOG
 
     def clean_up(self) -> None:
@@ -152,7 +149,7 @@ class SimulatorNode(LoopNode):
             self._refuse_force(error)
             return
         try:
-            now = self._now()
+            now = self.steady_time()
             first = self._controllers.hear(read_controller(message), stamp, force, now)
             force = force if self._realtime else first
             self._check_controllers(now)
@@ -205,7 +202,7 @@ class SimulatorNode(LoopNode):
         self._force = self._acting = np.zeros(2)
 
     def _begin_waiting(self) -> None:
-        self._answered_at = self._now()
+        self._answered_at = self.steady_time()
         self._patience.begin(self._answered_at)
 
     def _start_stepping(self) -> None:
@@ -219,26 +216,28 @@ class SimulatorNode(LoopNode):
     def _create_stepper(self) -> None:
         self._factor = self.settings['real_time_factor']
         period = self._body.integrator.step / self._factor
-        self._stepper = self.create_timer(period, self._tick, clock=self._wall)
-        self._next_tick = self._wall.now().nanoseconds + self._stepper.time_until_next_call()
+        self._stepper = self.create_timer(period, self._tick, clock=self._steady_clock)
+        self._next_tick = (
+            self._steady_clock.now().nanoseconds + self._stepper.time_until_next_call()
+        )
 
     def _tick(self) -> None:
         self._count_missed()
         if self._paused or not self.active or self._at_end:
             return
-        self._is_stale = self._now() - self._answered_at > self.settings['force_timeout']
-        if self._is_stale:
+        is_stale = self.steady_time() - self._answered_at > self.settings['force_timeout']
+        if is_stale:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
             if self.settings['stale_force'] == 'zero':
                 self._let_go()
-        self.health.watchdog = _STALE if self._is_stale else WATCHDOG_OK
+        self.health.watchdog = _STALE if is_stale else WATCHDOG_OK
         self._warn()
         self._advance()
 
     def _count_missed(self) -> None:
         """Count the ticks that the timer has left out since the last one."""
         assert self._stepper is not None
-        following = self._wall.now().nanoseconds + self._stepper.time_until_next_call()
+        following = self._steady_clock.now().nanoseconds + self._stepper.time_until_next_call()
         missed = round((following - self._next_tick) / self._stepper.timer_period_ns) - 1
         self._next_tick = following
         if missed > 0:
@@ -247,7 +246,7 @@ class SimulatorNode(LoopNode):
 
     def _warn(self) -> None:
         """Report what is wrong now, and no longer what was."""
-        problem = self._controllers.conflict(self._now()) or (_STALE if self._is_stale else '')
+        problem = self._controllers.conflict(self.steady_time())
         if problem or self.health.warning == self._warned:
             self.health.warning = problem
         self._warned = problem
@@ -295,11 +294,11 @@ class SimulatorNode(LoopNode):
                 stamp, self._identifier, self._body.configuration, self._body.velocity, self._names
             ),
         )
-        self._published_at = self._now()
+        self._published_at = self.steady_time()
 
     def _watch(self) -> None:
         """Publish an unanswered state again, give up after the time-out."""
-        waited = self._patience.look(self._now())
+        waited = self._patience.look(self.steady_time())
         self._warn()
         if not self.active or self._answered or (self._running and not self._must_answer):
             return
@@ -312,7 +311,7 @@ class SimulatorNode(LoopNode):
             return
         if not self._running:
             self.say('waiting for the first control_force')
-        if self._now() - self._published_at >= self.settings['resend_interval']:
+        if self.steady_time() - self._published_at >= self.settings['resend_interval']:
             self._publish_state()
 
     @property
@@ -375,9 +374,6 @@ class SimulatorNode(LoopNode):
         else:
             response.message = 'expected a paused simulator whose state has been answered'
         return response
-
-    def _now(self) -> float:
-        return self._wall.now().nanoseconds / NANOSECONDS
 
 
 def main(arguments: list[str] | None = None) -> None:

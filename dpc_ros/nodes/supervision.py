@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from dpc_ros.nodes.health import PROCESS_READING
+from dpc_ros.nodes.health import DIAGNOSTICS, PROCESS_READING
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import NodeProcesses
@@ -44,7 +44,7 @@ class Supervision:
         self._looked_at = time.monotonic()
         self.failure = ''
         self.exit_code = 0
-        monitor.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 10)
+        monitor.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, 10)
 
     def is_over(self) -> bool:
         """See to the nodes; return whether the leader has come to its end, or the run failed."""
