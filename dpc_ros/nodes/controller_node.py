@@ -75,7 +75,7 @@ class ControllerNode(LoopNode):
         if settings['replayed_parameters']:
             self.create_input('parameters', self._replay_parameters)
         self.create_input('target', self._take_target)
-        self.create_input('latent_state', self._control)
+        self.create_input('latent_state', self._control, newest_only=True)
 
     def activate(self) -> None:
         self._controller.restart()

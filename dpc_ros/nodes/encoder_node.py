@@ -63,10 +63,9 @@ class EncoderNode(LoopNode):
         self._begin_anew()
         self._encoder.warm_up()
         self._latent_state = self.create_output('latent_state')
-        # An observer that has no time for a state bridges it, rather than be late for all others.
-        observes = self._encoder.observer is not None
-        self.create_input('configuration', self._take_configuration, newest_only=observes)
-        if observes:
+        # Who had no time for a state leaves it out, rather than be late for all that follow.
+        self.create_input('configuration', self._take_configuration, newest_only=True)
+        if self._encoder.observer is not None:
             self.create_input('control_force', self._take_force)
 
     def activate(self) -> None:

@@ -12,6 +12,8 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from dpc_ros.nodes.discovery import announce_often
+
 PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -53,6 +55,7 @@ class StopRequest:
         return self
 
     def _initialize(self) -> None:
+        announce_often()
         try:
             others = remove_ros_args(['node', *self._arguments])[1:]
             rclpy.init(

@@ -24,6 +24,7 @@ from dpc_ros.bag import LOSSES_RECORD, read_run
 from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
+from dpc_ros.nodes.discovery import announce_often
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
 from dpc_ros.resources import config_path
@@ -32,6 +33,8 @@ from dpc_ros.threads import single_threaded_algebra
 GIVE_UP = 120.0  # s after which a test stops waiting; nothing is asserted about the time itself
 DEMO = config_path('demo.yaml')
 SHARED_MEMORY = Path('/dev/shm')
+
+announce_often()
 
 
 def named_shared_memory(lines: Iterable[str]) -> set[Path]:
@@ -137,12 +140,18 @@ class Domain:
         """Remember the shared memory that a process can't remove any more once it is killed."""
         self.left_behind |= self.shared_memory(process)
 
-    def kill(self, process: subprocess.Popen) -> None:
-        """Kill a process, and remember the shared memory that it can't remove any more."""
+    def kill(self, process: subprocess.Popen) -> float:
+        """Kill a process, and remember the shared memory that it can't remove any more.
+
+        Returns:
+            when it was killed, by the clock of `time.time` [s].
+        """
         self.will_leave_behind(process.pid)
+        killed = time.time()
         process.kill()
         process.wait()
         process.stdout.close()
+        return killed
 
     def stop(self, process: subprocess.Popen) -> tuple[int, str]:
         if process.poll() is None:

@@ -3,6 +3,7 @@
 import signal
 import time
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,16 +18,37 @@ from dpc_ros.nodes.topics import LOOP_QOS
 STEP = 5_000_000  # ns
 
 
+class State(NamedTuple):
+    """A configuration as it came; `sent` is when it was published, by the clock of `time.time`."""
+
+    stamp: int
+    configuration: np.ndarray
+    velocity: np.ndarray
+    sent: float
+
+
+class Force(NamedTuple):
+    """A force as it came."""
+
+    stamp: int
+    force: np.ndarray
+    sent: float
+
+
 @dataclass
 class Loop:
-    """Simulator, encoder and controller in processes, watched by the test's own node."""
+    """Simulator, encoder and controller in processes, watched by the test's own node.
+
+    What this node takes may have waited for it: only when a message was published says whether it
+    is of before a fault or of after it.
+    """
 
     domain: object
     observer: object
     plan: object
     nodes: dict = field(default_factory=dict)
-    states: list = field(default_factory=list)  # (stamp, q, q̇, monotonic time)
-    forces: list = field(default_factory=list)  # (stamp, u, monotonic time)
+    states: list[State] = field(default_factory=list)
+    forces: list[Force] = field(default_factory=list)
 
     def __post_init__(self):
         node = self.observer.node
@@ -40,19 +62,31 @@ class Loop:
         self.nodes[kind] = self.domain.start_node(kind, self.plan)
 
     def kill(self, kind):
-        self.domain.kill(self.nodes[kind])
+        """Kill a node; return when the signal was sent [s]."""
+        return self.domain.kill(self.nodes[kind])
 
     def pause(self, kind):
+        """Stop a node; return when the signal was sent [s]."""
         self.nodes[kind].send_signal(signal.SIGSTOP)
+        return time.time()
 
     def unpause(self, kind):
         self.nodes[kind].send_signal(signal.SIGCONT)
 
-    def go_on(self, answers):
-        """Wait for so many more states that were answered; return when the first was [s]."""
+    def go_on(self, answers, since=0.0):
+        """Wait for so many states to be answered since a moment; return how long it took [s].
+
+        That is when the second one was: the first may have been on its way when a node was lost.
+        """
         begin = len(self.forces)
-        self.observer.wait(lambda: len(self._answers(begin)) >= answers, 'answers')
-        return self._answers(begin)[0]
+
+        def found():
+            """Return when each answer that is not a watchdog's zero was sent."""
+            new = [each for each in self.forces[begin:] if each.sent > since]
+            return [each.sent for each in new if each.force.any()]
+
+        self.observer.wait(lambda: len(found()) >= answers, 'answers')
+        return found()[1] - since
 
     def wait_for_states(self, count):
         begin = len(self.states)
@@ -64,19 +98,19 @@ class Loop:
             assert code == 0, output
             assert 'Traceback' not in output
 
-    def _answers(self, begin):
-        """Return when each force that is not a watchdog's zero came, since a place in the list."""
-        return [at for _, force, at in self.forces[begin:] if force.any()]
+    def _take_state(self, message, info):
+        state = np.array(message.position), np.array(message.velocity)
+        self.states.append(State(from_stamp(message.header.stamp), *state, sent(info)))
 
-    def _take_state(self, message):
-        stamp = from_stamp(message.header.stamp)
-        entry = stamp, np.array(message.position), np.array(message.velocity), time.monotonic()
-        self.states.append(entry)
-
-    def _take_force(self, message):
+    def _take_force(self, message, info):
         force = message.wrench.force
-        stamp = from_stamp(message.header.stamp)
-        self.forces.append((stamp, np.array([force.x, force.y]), time.monotonic()))
+        force = np.array([force.x, force.y])
+        self.forces.append(Force(from_stamp(message.header.stamp), force, sent(info)))
+
+
+def sent(info):
+    """Return when a message was published [s]."""
+    return info['source_timestamp'] * 1e-9
 
 
 @pytest.fixture
@@ -104,12 +138,12 @@ def moved_by():
     body = Body(Integrator(Mechanics(load_network('paper_2')), STEP * 1e-9), 162)
 
     def check(force, before, after):
-        stamp, body.configuration, body.velocity, _ = before
+        body.configuration, body.velocity = before.configuration, before.velocity
         body.advance(force)
         return (
-            after[0] == stamp + STEP
-            and np.array_equal(body.configuration, after[1])
-            and np.array_equal(body.velocity, after[2])
+            after.stamp == before.stamp + STEP
+            and np.array_equal(body.configuration, after.configuration)
+            and np.array_equal(body.velocity, after.velocity)
         )
 
     return check

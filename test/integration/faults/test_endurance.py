@@ -74,9 +74,8 @@ def test_bytes_that_are_no_message(loop, repetitions, kept_promise):
             publisher.publish(_damaged(content, rng))
         running.go_on(40)
         node.destroy_publisher(publisher)
-    states = running.states
-    assert all(np.isfinite(state[1]).all() for state in states)
-    assert all(np.isfinite(force).all() for _, force, _ in running.forces)
+    assert all(np.isfinite(state.configuration).all() for state in running.states)
+    assert all(np.isfinite(each.force).all() for each in running.forces)
     running.stop()
     kept_promise(
         'fuzzed bytes on every subscribed topic',

@@ -1,7 +1,7 @@
 """A node that dies or hangs: the body is left alone, and the loop goes on when the node does."""
 
 from itertools import pairwise
-from time import monotonic
+from time import time
 
 import numpy as np
 import pytest
@@ -17,9 +17,9 @@ def epochs(states):
     """Return the states of each simulator, in order, those published twice once."""
     found = [[]]
     for state in states:
-        if found[-1] and state[0] < found[-1][-1][0]:
+        if found[-1] and state.stamp < found[-1][-1].stamp:
             found.append([])
-        if not found[-1] or state[0] > found[-1][-1][0]:
+        if not found[-1] or state.stamp > found[-1][-1].stamp:
             found[-1].append(state)
     return found
 
@@ -30,29 +30,26 @@ def assert_repeats_states(in_process):
 
     def check(states):
         expected = in_process(steps=len(states) - 1)
-        assert [stamp for stamp, *_ in states] == [5_000_000 * k for k in range(len(states))]
-        found = np.array([configuration for _, configuration, *_ in states])
+        assert [state.stamp for state in states] == [5_000_000 * k for k in range(len(states))]
+        found = np.array([state.configuration for state in states])
         np.testing.assert_array_equal(found, expected.configuration)
 
     return check
 
 
-def time_of_freedom(loop, moved_by):
-    """Wait until the body moves freely; return when, and in how many steps the last force acted."""
+def freedom(loop, moved_by, since):
+    """Wait until the body moves freely; return when [s], and for how many steps it was forced."""
     nothing = np.zeros(2)
-
-    def last_force():
-        return next(each for each in reversed(loop.forces) if each[1].any())
-
-    def steps(force):
-        """Return the states after steps under a force, since the state that the last answered."""
-        states = [state for state in loop.states if state[0] >= last_force()[0]]
-        return [after for before, after in pairwise(states) if moved_by(force, before, after)]
-
-    loop.observer.wait(lambda: steps(nothing), 'a step without force')
-    free, forced = steps(nothing), steps(last_force()[1])
-    assert not forced or forced[-1][0] < free[0][0]
-    return free[0][3], len(forced)
+    loop.observer.wait(
+        lambda: loop.states[-1].sent > since and moved_by(nothing, *loop.states[-2:]),
+        'a step without force',
+    )
+    last = next(each for each in reversed(loop.forces) if each.force.any())
+    steps = [*pairwise(state for state in loop.states if state.sent >= last.sent)]
+    forced = [after for before, after in steps if moved_by(last.force, before, after)]
+    free = next(after for before, after in steps if moved_by(nothing, before, after))
+    assert not forced or forced[-1].stamp < free.stamp
+    return free.sent, len(forced)
 
 
 @pytest.mark.parametrize('kind', ['encoder', pytest.param('controller', marks=LONG)])
@@ -63,9 +60,9 @@ def test_lockstep_waits_for_a_killed_node(
     recovery = []
     for _ in range(repetitions):
         running.kill(kind)
-        killed = monotonic()
+        killed = time()
         running.start(kind)
-        recovery.append(running.go_on(40) - killed)
+        recovery.append(running.go_on(40, since=killed))
     running.stop()
     (states,) = epochs(running.states)
     assert_repeats_states(states)
@@ -85,9 +82,9 @@ def test_lockstep_begins_anew_with_a_killed_simulator(
     recovery = []
     for _ in range(repetitions):
         running.kill('simulator')
-        killed = monotonic()
+        killed = time()
         running.start('simulator')
-        recovery.append(running.go_on(40) - killed)
+        recovery.append(running.go_on(40, since=killed))
     running.stop()
     found = epochs(running.states)
     assert len(found) == repetitions + 1
@@ -117,17 +114,16 @@ def test_a_body_whose_brain_is_gone_is_left_alone(
     running = loop('realtime', simulator={'force_timeout': TIMEOUT})
     reaction, recovery = [], []
     for _ in range(repetitions):
-        (running.kill if fault == 'killed' else running.pause)(kind)
-        failed = monotonic()
-        free, forced_steps = time_of_freedom(running, moved_by)
+        failed = (running.kill if fault == 'killed' else running.pause)(kind)
+        free, forced_steps = freedom(running, moved_by, failed)
         assert forced_steps <= FORCED_STEPS
         reaction.append(free - failed)
         if fault == 'stopped':
             running.wait_for_states(400)
-        began = monotonic()
+        began = time()
         (running.start if fault == 'killed' else running.unpause)(kind)
-        recovery.append(running.go_on(40) - began)
-    assert all(np.isfinite(state[1]).all() for state in running.states)
+        recovery.append(running.go_on(40, since=began))
+    assert all(np.isfinite(state.configuration).all() for state in running.states)
     running.stop()
     how = 'killed (`kill -9`) and started anew' if fault == 'killed' else 'stopped for 2 s'
     kept_promise(
@@ -151,9 +147,9 @@ def test_lockstep_waits_for_a_stopped_node(
     for _ in range(repetitions):
         running.pause(kind)
         passed(2.0)
+        began = time()
         running.unpause(kind)
-        began = monotonic()
-        recovery.append(running.go_on(40) - began)
+        recovery.append(running.go_on(40, since=began))
     running.stop()
     (states,) = epochs(running.states)
     assert_repeats_states(states)
@@ -173,20 +169,20 @@ def test_control_goes_on_with_the_simulator(loop, fault, repetitions, kept_promi
     for _ in range(repetitions):
         if fault == 'killed':
             running.kill('simulator')
-            began = monotonic()
+            began = time()
             running.start('simulator')
         else:
             running.pause('simulator')
             passed(2.0)
+            began = time()
             running.unpause('simulator')
-            began = monotonic()
-        recovery.append(running.go_on(40) - began)
+        recovery.append(running.go_on(40, since=began))
     found = epochs(running.states)
     assert len(found) == (repetitions + 1 if fault == 'killed' else 1)
     for states in found:
         # Steps are neither left out nor made up for in a burst of stamps.
-        assert {b[0] - a[0] for a, b in pairwise(states)} == {5_000_000}
-        assert all(np.isfinite(state[1]).all() for state in states)
+        assert {after.stamp - before.stamp for before, after in pairwise(states)} == {5_000_000}
+        assert all(np.isfinite(state.configuration).all() for state in states)
     running.stop()
     how = 'killed (`kill -9`) and started anew' if fault == 'killed' else 'stopped for 2 s'
     promise = 'the body begins at rest' if fault == 'killed' else 'the body goes on where it was'
