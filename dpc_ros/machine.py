@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from importlib.metadata import version
 from pathlib import Path
 
 _COMPUTING = ('numpy', 'scipy', 'numba')
+_CPU_INFORMATION = Path('/proc/cpuinfo')  # of Linux
+# Libraries choose their code by these; a virtual machine may call any processor by the same name.
+_PROCESSOR = ('cpu family', 'model', 'stepping')
+_FEATURES = ('flags', 'Features')  # on x86 and on Arm
 
 
 def describe_machine() -> dict[str, str]:
     """Return what floating-point results depend on: processor, system, versions of libraries."""
     return {
-        'processor': _processor(),
+        **_describe_processor(),
         'system': f'{platform.system()} {platform.machine()} {"-".join(platform.libc_ver())}',
         'python': platform.python_version(),
         **{package: version(package) for package in _COMPUTING},
     }
 
 
-def _processor() -> str:
+def _describe_processor() -> dict[str, str]:
     try:
-        lines = Path('/proc/cpuinfo').read_text().splitlines()
+        first, *_ = _CPU_INFORMATION.read_text().partition('\n\n')
     except OSError:
-        return platform.processor()
-    names = (line.partition(':')[2].strip() for line in lines if line.startswith('model name'))
-    return next(names, platform.processor())
+        return {'processor': platform.processor()}
+    lines = [line.partition(':') for line in first.splitlines()]
+    values = {name.strip(): value.strip() for name, _, value in lines}
+    named = [f'{name} {values[name]}' for name in _PROCESSOR if name in values]
+    features = ' '.join(sorted(' '.join(values.get(name, '') for name in _FEATURES).split()))
+    return {
+        'processor': ', '.join([values.get('model name', platform.processor()), *named]),
+        'processor features': hashlib.sha256(features.encode()).hexdigest()[:12],
+    }
