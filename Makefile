@@ -50,7 +50,7 @@ INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
 help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
 	@echo 'make test   run linters, type checks and all tests'
-	@echo 'make test-long   run the tests that are too long for every change'
+	@echo 'make test-long   run the tests that are too long for every change; about an hour'
 	@echo 'make venv   only install, into $(VENV)'
 	@echo 'make clean  remove .venv* and what the tools left (runs/ stays)'
 

@@ -27,9 +27,8 @@ from dpc_ros.nodes.messages import (
     parameters_message,
     read_stamp,
     read_state,
-    read_target,
-    target_message,
 )
+from dpc_ros.nodes.target_messages import read_target, target_message
 
 _NO_LATENT_STATE = 'no new latent_state: zero force is commanded until there is one'
 

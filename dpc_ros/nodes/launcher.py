@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +17,17 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 
 from dpc_ros.bag import draw, table
-from dpc_ros.bag.report import converge
-from dpc_ros.nodes.controller_node import ControllerNode
-from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import STOP_TIMEOUT, NodeProcesses
-from dpc_ros.nodes.recorder_node import RecorderNode
-from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.supervision import Supervision
 from dpc_ros.parameters import parse_overrides
 from dpc_ros.resources import config_path
 from dpc_ros.threads import single_threaded_algebra
 
-_NODE_CLASSES: dict[str, Callable[[Context], LoopNode]] = {
-    'simulator': SimulatorNode,
-    'encoder': EncoderNode,
-    'controller': ControllerNode,
-    'recorder': RecorderNode,
-}
 _ACTING = ('controller', 'encoder')  # what gives the body its force
 _STEPS_AT_REST = 10  # under no force, before a simulator that goes by the wall clock is ended
 _INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
@@ -176,7 +166,7 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
     crash = ''
     try:
         for kind in plan.nodes:
-            nodes[kind] = _NODE_CLASSES[kind](stop.context)
+            nodes[kind] = _node_class(kind)(stop.context)
             executor.add_node(nodes[kind])
             nodes[kind].start()
 
@@ -200,6 +190,12 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
     return Outcome(failure, 1 if failure else 0, bags=[plan.bag] if plan.bag else [])
 
 
+def _node_class(kind: str) -> Callable[[Context], LoopNode]:
+    """Return what the module of a node has; who starts processes need not wait for it."""
+    module = import_module(f'dpc_ros.nodes.{kind}_node')
+    return getattr(module, f'{kind.capitalize()}Node')
+
+
 def _report(plan: LaunchPlan, outcome: Outcome) -> int:
     began_anew = {plan.leader, RECORDER} & outcome.restarts.keys()
     if plan.records('configuration') and not began_anew:
@@ -218,6 +214,8 @@ def _report(plan: LaunchPlan, outcome: Outcome) -> int:
 
 
 def _show_convergence(plan: LaunchPlan) -> Path:
+    from dpc_ros.bag.report import converge  # takes a second, in which the nodes have started
+
     convergence, notes = converge(
         plan.bag,
         plan.parameters['simulator']['network'],

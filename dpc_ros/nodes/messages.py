@@ -17,7 +17,6 @@ from sensor_msgs.msg import JointState
 from dpc_ros.bag.force_frame import force_frame, read_force_frame
 from dpc_ros.bag.reader import LATENT_PREFIX
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.control import Target, TargetError
 
 
 class MessageError(ValueError):
@@ -87,11 +86,11 @@ def read_state(
     if message.header.frame_id != frame_id:
         raise MessageError(f'expected the frame {frame_id!r}, got {message.header.frame_id!r}')
     if message.name and list(message.name) != list(names):
-        raise MessageError(f'expected the names {_brief(names)}, got {_brief(message.name)}')
+        raise MessageError(f'expected the names {brief(names)}, got {brief(message.name)}')
     size = len(names)
     return (
-        _finite(message.position, size, 'positions'),
-        _finite(message.velocity, size, 'velocities'),
+        finite(message.position, size, 'positions'),
+        finite(message.velocity, size, 'velocities'),
     )
 
 
@@ -117,7 +116,7 @@ def read_force(message: WrenchStamped) -> tuple[int, Float[np.ndarray, ' 2']]:
     force, torque = message.wrench.force, message.wrench.torque
     if force.z != 0 or torque.x != 0 or torque.y != 0 or torque.z != 0:
         raise MessageError('expected a force in the plane: its z and the torque must be zero')
-    return mass, _finite(array('d', (force.x, force.y)), 2, 'force components')
+    return mass, finite(array('d', (force.x, force.y)), 2, 'force components')
 
 
 def read_controller(message: WrenchStamped) -> str:
@@ -137,47 +136,9 @@ def _read_force_frame(message: WrenchStamped) -> tuple[int, str]:
         raise MessageError(str(error)) from error
 
 
-def target_message(target: Target, frame_id: str, stamp: int = 0) -> JointState:
-    """Return the message of a target that counts from a stamp [ns] on, zero is at once."""
-    message = JointState()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = frame_id
-    message.position = array('d', target.value.tobytes())
-    if target.is_latent:
-        message.name = latent_names(len(target.value))
-    return message
-
-
 def is_latent(target: JointState) -> bool:
     """Return whether a target is a latent state: its names say so."""
     return bool(target.name) and target.name[0].startswith(LATENT_PREFIX)
-
-
-def read_target(
-    message: JointState, frame_id: str, coordinate_names: Sequence[str], latent_size: int
-) -> Target:
-    """Return the target of a message: a latent state where it is named so, else a configuration.
-
-    Args:
-        message: what came.
-        frame_id: what the frame of a configuration must be, where it has one.
-        coordinate_names: names of the coordinates; their number is the size.
-        latent_size: m.
-
-    Raises:
-        MessageError: frame, names or size differ, or a value is not finite.
-    """
-    latent = is_latent(message)
-    names = latent_names(latent_size) if latent else coordinate_names
-    if message.name and list(message.name) != list(names):
-        raise MessageError(f'expected the names {_brief(names)}, got {_brief(message.name)}')
-    if not latent and message.header.frame_id not in ('', frame_id):
-        raise MessageError(f'expected the frame {frame_id!r}, got {message.header.frame_id!r}')
-    value = _finite(message.position, len(names), 'positions')
-    try:
-        return Target(latent=value) if latent else Target(configuration=value)
-    except TargetError as error:
-        raise MessageError(str(error)) from error
 
 
 def parameters_message(
@@ -203,7 +164,12 @@ def parameters_message(
     )
 
 
-def _finite(values: array, size: int, what: str) -> np.ndarray:
+def finite(values: array, size: int, what: str) -> np.ndarray:
+    """Return the values of a message.
+
+    Raises:
+        MessageError: there are not as many as expected, or one is not finite.
+    """
     if len(values) != size:
         raise MessageError(f'expected {size} {what}, got {len(values)}')
     result = np.frombuffer(values) if size else np.empty(0)
@@ -213,6 +179,7 @@ def _finite(values: array, size: int, what: str) -> np.ndarray:
     return result
 
 
-def _brief(names: Sequence[str]) -> str:
+def brief(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many there are."""
     shown = ', '.join(names[:2])
     return f'{shown}, … ({len(names)})' if len(names) > 2 else f'{shown} ({len(names)})'

@@ -17,7 +17,7 @@ from dpc_ros.paper.published import (
 )
 
 Rows = list[dict[str, Any]]
-PAGES = ('experiments.md', 'control.md', '../README.md')  # beside the results
+PAGES = ('experiments.md', 'control.md', 'reliability.md', '../README.md')  # beside the results
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
@@ -391,6 +391,22 @@ def _reachable(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _faults(rows: Rows) -> str:
+    header = ['fault', 'mode', 'promise', 'times', 'reaction [ms]', 'recovery [ms]', 'test']
+    body = []
+    for row in rows:
+        times = [
+            f'{row[f"{what}_median_ms"]:.0f} ({row[f"{what}_max_ms"]:.0f})'
+            if f'{what}_median_ms' in row
+            else '–'
+            for what in ('reaction', 'recovery')
+        ]
+        repetitions = str(row['repetitions'])
+        test = f'`{row["test"]}`'
+        body.append([row['fault'], row['mode'], row['promise'], repetitions, *times, test])
+    return _markdown(header, body)
+
+
 _TABLES: dict[str, Callable[[Rows], str]] = {
     'reproduction': _reproduction,
     'ours': _ours,
@@ -407,6 +423,7 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'robustness': _robustness,
     'reachable': _reachable,
     'failures': _failures,
+    'faults': _faults,
 }
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import root
 from tqdm import tqdm
 
 from dpc_ros.reduction.compressed_system import CompressedSystem
@@ -193,6 +192,8 @@ def _middle_velocity(
     Raises:
         UnsolvedStepError: no convergence, or no solution: there need not be one for a long step.
     """
+    from scipy.optimize import root  # slow to import, and the nodes need none of it
+
     half = 0.5 * step
 
     def lack(v: np.ndarray) -> np.ndarray:

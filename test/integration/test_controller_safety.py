@@ -24,9 +24,9 @@ from dpc_ros.nodes.messages import (
     read_controller,
     read_force,
     state_message,
-    target_message,
     to_stamp,
 )
+from dpc_ros.nodes.target_messages import target_message
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
 
 NETWORK = load_network('paper_2').identifier

@@ -545,7 +545,7 @@ for cycle in range(int(sys.argv[1])):
 """
 
 
-CYCLES = [3, pytest.param(100, marks=[pytest.mark.long, pytest.mark.timeout(3600)])]
+CYCLES = [2, pytest.param(100, marks=[pytest.mark.long, pytest.mark.timeout(3600)])]
 PAGE = os.sysconf('SC_PAGE_SIZE')
 LARGEST_GROWTH = 4 * 2**20  # bytes, over all cycles but the first two
 

@@ -28,9 +28,9 @@ from dpc_ros.nodes.messages import (
     force_message,
     from_stamp,
     state_message,
-    target_message,
     to_stamp,
 )
+from dpc_ros.nodes.target_messages import target_message
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
 
 START = 10**18  # ns, log time

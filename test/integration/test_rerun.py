@@ -15,7 +15,8 @@ from dpc_ros.bag.rerun import rerun
 from dpc_ros.bag.rerun_table import table
 from dpc_ros.control import load_target
 from dpc_ros.network import load_network
-from dpc_ros.nodes.messages import from_stamp, target_message
+from dpc_ros.nodes.messages import from_stamp
+from dpc_ros.nodes.target_messages import target_message
 from dpc_ros.nodes.topics import IN_FORCE_QOS, TARGET_QOS
 
 NETWORK = load_network('paper_2')
