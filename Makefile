@@ -50,7 +50,7 @@ INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
 help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
 	@echo 'make test   run linters, type checks and all tests'
-	@echo 'make test-long   run the tests that are too long for every change; about an hour'
+	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json'
 	@echo 'make venv   only install, into $(VENV)'
 	@echo 'make clean  remove .venv* and what the tools left (runs/ stays)'
 
@@ -64,7 +64,9 @@ test: $(VENV)/test.stamp
 	$(BIN)/pytest $(WORKERS) $(ARGS)
 
 test-long: $(VENV)/test.stamp
-	$(BIN)/pytest -m 'long or faults' --repetitions 50 --fault-results runs/faults.json $(ARGS)
+	$(BIN)/pytest -m 'long or faults' --repetitions 50 \
+		--fault-results docs/results/faults.json $(ARGS)
+	$(BIN)/dpc paper tables
 
 venv: $(VENV)/test.stamp
 

@@ -109,16 +109,18 @@ def pytest_generate_tests(metafunc):
 def pytest_runtest_makereport(item, call):
     report = yield
     mark = item.get_closest_marker('faults')
-    if mark is not None and mark.kwargs and report.when == 'call' and report.passed:
-        named = {key: mark.kwargs[key] for key in ('fault', 'promise', 'mode')}
-        row = _promise(item, **named)
+    if mark is not None and report.when == 'call' and (mark.kwargs or report.failed):
+        # One that repeats its fault itself notes the promise when it was kept in all repetitions.
+        unsaid = {'fault': item.name, 'promise': '', 'mode': ''}
+        row = _promise(item, **{key: mark.kwargs.get(key, unsaid[key]) for key in unsaid})
         row['repetitions'] += 1
+        row['kept'] += report.passed
     return report
 
 
 def pytest_sessionfinish(session, exitstatus):
     path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
-    if path and exitstatus == 0:
+    if path and exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         write_results(path, [*rows.values()])
 
 
@@ -140,6 +142,7 @@ def kept_promise(request):
     def note(fault, promise, mode, repetitions, reaction=(), recovery=()):
         row = _promise(request.node, fault, promise, mode)
         row['repetitions'] += repetitions
+        row['kept'] += repetitions
         for name, seconds in (('reaction', reaction), ('recovery', recovery)):
             if seconds:
                 row[f'{name}_median_ms'] = 1e3 * statistics.median(seconds)
@@ -150,7 +153,8 @@ def kept_promise(request):
 
 def _promise(item, fault, promise, mode):
     row = {'fault': fault, 'mode': mode, 'promise': promise, 'test': item.originalname}
-    return item.config.stash[_PROMISES].setdefault(tuple(row.values()), row | {'repetitions': 0})
+    counts = {'repetitions': 0, 'kept': 0}
+    return item.config.stash[_PROMISES].setdefault(tuple(row.values()), row | counts)
 
 
 def make_grid(rows, columns, seed=None, name='grid'):

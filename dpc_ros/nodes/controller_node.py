@@ -29,6 +29,7 @@ from dpc_ros.nodes.messages import (
     read_state,
 )
 from dpc_ros.nodes.target_messages import read_target, target_message
+from dpc_ros.nodes.topics import MOST_STATES
 
 _NO_LATENT_STATE = 'no new latent_state: zero force is commanded until there is one'
 
@@ -74,7 +75,7 @@ class ControllerNode(LoopNode):
         if settings['replayed_parameters']:
             self.create_input('parameters', self._replay_parameters)
         self.create_input('target', self._take_target)
-        self.create_input('latent_state', self._control, newest_only=True)
+        self.create_input('latent_state', self._control, MOST_STATES)
 
     def activate(self) -> None:
         self._controller.restart()

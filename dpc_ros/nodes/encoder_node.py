@@ -26,6 +26,7 @@ from dpc_ros.nodes.messages import (
     read_state,
     state_message,
 )
+from dpc_ros.nodes.topics import MOST_STATES
 from dpc_ros.nodes.turns import Turns
 
 _WATCH_PERIOD = 0.05  # s between two looks whether configurations come
@@ -63,9 +64,11 @@ class EncoderNode(LoopNode):
         self._begin_anew()
         self._encoder.warm_up()
         self._latent_state = self.create_output('latent_state')
-        # Who had no time for a state leaves it out, rather than be late for all that follow.
-        self.create_input('configuration', self._take_configuration, newest_only=True)
-        if self._encoder.observer is not None:
+        # An observer that has no time for a state bridges it, rather than be late for all others.
+        observes = self._encoder.observer is not None
+        depth = 1 if observes else MOST_STATES
+        self.create_input('configuration', self._take_configuration, depth)
+        if observes:
             self.create_input('control_force', self._take_force)
 
     def activate(self) -> None:

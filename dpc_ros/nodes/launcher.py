@@ -162,11 +162,12 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
     monitor = Monitor(plan, stop.context)
     executor.add_node(monitor)
     nodes: dict[str, LoopNode] = {}
-    single_threaded_algebra()
+    classes = {kind: _node_class(kind) for kind in plan.nodes}
+    single_threaded_algebra()  # of the libraries that these have loaded
     crash = ''
     try:
         for kind in plan.nodes:
-            nodes[kind] = _node_class(kind)(stop.context)
+            nodes[kind] = classes[kind](stop.context)
             executor.add_node(nodes[kind])
             nodes[kind].start()
 

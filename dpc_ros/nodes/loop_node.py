@@ -194,19 +194,19 @@ class LoopNode(LifecycleNode):
         return publisher
 
     def create_input(
-        self, topic: str, callback: Callable[..., None], newest_only: bool = False
+        self, topic: str, callback: Callable[..., None], depth: int | None = None
     ) -> None:
         """Subscribe to a topic of the loop.
 
         Args:
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
-            newest_only: leave out all but the newest of what has come while the node was busy.
+            depth: how many of the newest wait while the node is busy, if not those of the topic.
         """
         entry = TOPICS[topic]
         qos = copy(entry.qos)
-        if newest_only:
-            qos.depth = 1
+        if depth is not None:
+            qos.depth = depth
         self._inputs.append(self.create_subscription(entry.message_type, topic, callback, qos))
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:

@@ -392,7 +392,7 @@ def _reachable(rows: Rows) -> str:
 
 
 def _faults(rows: Rows) -> str:
-    header = ['fault', 'mode', 'promise', 'times', 'reaction [ms]', 'recovery [ms]', 'test']
+    header = ['fault', 'mode', 'promise', 'kept', 'reaction [ms]', 'recovery [ms]', 'test']
     body = []
     for row in rows:
         times = [
@@ -401,9 +401,9 @@ def _faults(rows: Rows) -> str:
             else '–'
             for what in ('reaction', 'recovery')
         ]
-        repetitions = str(row['repetitions'])
+        kept = '{kept} of {repetitions}'.format_map(row)
         test = f'`{row["test"]}`'
-        body.append([row['fault'], row['mode'], row['promise'], repetitions, *times, test])
+        body.append([row['fault'], row['mode'], row['promise'], kept, *times, test])
     return _markdown(header, body)
 
 

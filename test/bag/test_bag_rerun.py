@@ -22,6 +22,7 @@ from dpc_ros.machine import describe_machine
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.parameters import ParameterError
 from dpc_ros.reduction import CompressedSystem
+from dpc_ros.threads import single_threaded_algebra
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 WRENCH = 'geometry_msgs/msg/WrenchStamped'
@@ -44,10 +45,11 @@ def epoch():
     autoencoder = with_encoder(load_checkpoint(CHECKPOINT).autoencoder(), 'projection')
     system = CompressedSystem(mechanics, autoencoder, 162)
     law = make_law('lqr', system, LawSettings(largest_force=20.0, **GAINS))
-    law.regulate(load_target('rest', network))
     moved = network.rest_configuration + 0.05
     body = Body(Integrator(mechanics, STEP * 1e-9), 162, moved)
-    return run_closed_loop(body, autoencoder, law, STEPS)
+    with single_threaded_algebra():  # as in a node
+        law.regulate(load_target('rest', network))
+        return run_closed_loop(body, autoencoder, law, STEPS)
 
 
 @pytest.fixture

@@ -345,7 +345,7 @@ class Launched:
     fault='a node of the launcher crashes or hangs',
     promise='started anew, said on the terminal; the run ends bit for bit as without',
     mode='lockstep',
-    most=10,
+    most=5,
 )
 def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, assert_repeats):
     """In lockstep nothing shows it afterwards."""
@@ -369,7 +369,7 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     fault='recorder or simulator of the launcher crashes',
     promise='started anew; the first log can be repaired, a second one holds what follows',
     mode='realtime',
-    most=10,
+    most=5,
 )
 def test_a_recorder_and_a_simulator_that_crash(domain, observer, tmp_path):
     run = Launched(domain, observer, tmp_path / 'run', '--duration', '0', '--realtime')
@@ -404,7 +404,7 @@ def test_a_recorder_and_a_simulator_that_crash(domain, observer, tmp_path):
     fault='a node crashes more often than `--restarts`',
     promise='the body ends under no force, exit code 1, the log is whole',
     mode='realtime',
-    most=10,
+    most=5,
 )
 def test_after_too_many_crashes_the_body_is_under_no_force(domain, observer, tmp_path):
     """Up to then a controller that is started anew goes on with the target that was in force."""
@@ -460,7 +460,7 @@ MILESTONES = {
     fault='Ctrl-C at each moment of start-up, and twice',
     promise='exit code 130, no traceback, no process and no shared memory left',
     mode='lockstep',
-    most=10,
+    most=5,
 )
 @pytest.mark.parametrize('milestone', MILESTONES)
 def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milestone):
@@ -491,7 +491,7 @@ NODE_MILESTONES = {
     fault='Ctrl-C at each moment of a node’s start-up, twice',
     promise='exit code 0, no traceback, no shared memory left',
     mode='both',
-    most=10,
+    most=5,
 )
 @pytest.mark.parametrize('milestone', NODE_MILESTONES)
 def test_ctrl_c_ends_a_node_at_any_time(domain, observer, tmp_path, milestone):

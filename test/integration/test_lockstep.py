@@ -177,7 +177,7 @@ def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats):
     fault='every start order',
     promise='the run is bit for bit the one in a single process',
     mode='lockstep',
-    most=10,
+    most=5,
 )
 @pytest.mark.parametrize('order', ORDERS)
 def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, order):

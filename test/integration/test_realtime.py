@@ -34,7 +34,7 @@ READERS = {
     fault='every start order',
     promise='nothing is lost, the body converges',
     mode='realtime',
-    most=10,
+    most=5,
 )
 @pytest.mark.parametrize('order', ORDERS)
 def test_nodes_started_by_hand_converge_in_any_order(
