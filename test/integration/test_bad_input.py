@@ -1,15 +1,29 @@
 """Each bad input gets one clear line, an exit code, and leaves nothing half-written."""
 
 import json
+from importlib import import_module
 
 import pytest
 
 from dpc_ros.resources import config_path
 
 
-def run_node(domain, kind, *parameters, cwd=None):
-    arguments = [part for item in parameters for part in ('-p', item)]
-    return domain.run(f'{kind}_node', '--ros-args', *arguments, cwd=cwd)
+def ros_arguments(*parameters):
+    return ['--ros-args', *(part for item in parameters for part in ('-p', item))]
+
+
+@pytest.fixture
+def run_here(domain, monkeypatch, capfd):
+    """Return a function: runs a program in this process; processes of their own are below."""
+    for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE'):
+        monkeypatch.setenv(name, domain.environment[name])
+
+    def run(module, *arguments):
+        with pytest.raises(SystemExit) as end:
+            import_module(f'dpc_ros.nodes.{module}').main([*arguments])
+        return end.value.code, ''.join(capfd.readouterr())
+
+    return run
 
 
 def assert_one_clear_error(output, *words):
@@ -30,8 +44,8 @@ def assert_one_clear_error(output, *words):
         ('recorder', 'attach:=[sound]', ('attach', 'network, checkpoint')),
     ],
 )
-def test_bad_parameters(domain, kind, parameter, words):
-    code, output = run_node(domain, kind, parameter)
+def test_bad_parameters(run_here, kind, parameter, words):
+    code, output = run_here(f'{kind}_node', *ros_arguments(parameter))
     assert code == 2
     assert_one_clear_error(output, *words)
 
@@ -45,8 +59,8 @@ def test_bad_parameters(domain, kind, parameter, words):
         (['--ros-args', '--params-file', 'nowhere.yaml'], ('ROS arguments', 'nowhere.yaml')),
     ],
 )
-def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
-    code, output = domain.run('simulator_node', *arguments)
+def test_arguments_that_are_no_ros_arguments(run_here, arguments, words):
+    code, output = run_here('simulator_node', *arguments)
     assert code == 2
     assert_one_clear_error(output, *words)
 
@@ -78,8 +92,9 @@ def test_arguments_that_are_no_ros_arguments(domain, arguments, words):
         ('recorder', ['parameters_file:=/nowhere.yaml'], ('/nowhere.yaml',)),
     ],
 )
-def test_what_can_not_be_configured(domain, tmp_path, kind, parameters, words):
-    code, output = run_node(domain, kind, *parameters, cwd=tmp_path)
+def test_what_can_not_be_configured(run_here, tmp_path, monkeypatch, kind, parameters, words):
+    monkeypatch.chdir(tmp_path)
+    code, output = run_here(f'{kind}_node', *ros_arguments(*parameters))
     assert code == 1
     assert_one_clear_error(output, *words)
     assert not any(path.suffix == '.mcap' for path in tmp_path.rglob('*'))
@@ -94,10 +109,10 @@ def test_what_can_not_be_configured(domain, tmp_path, kind, parameters, words):
         ({'both': 1}, ('"configuration" or "latent"',)),
     ],
 )
-def test_bad_target_files(domain, tmp_path, content, words):
+def test_bad_target_files(run_here, tmp_path, content, words):
     path = tmp_path / 'target.json'
     path.write_text(json.dumps(content))
-    code, output = run_node(domain, 'controller', f'target:={path}')
+    code, output = run_here('controller_node', *ros_arguments(f'target:={path}'))
     assert code == 1
     assert_one_clear_error(output, *words)
 
@@ -123,8 +138,8 @@ def test_bad_target_files(domain, tmp_path, content, words):
         (['--config', __file__], ('expected a ROS 2 parameter file',)),
     ],
 )
-def test_launcher_refuses_before_it_starts_anything(domain, tmp_path, arguments, words):
-    code, output = domain.run('launcher', '--output', str(tmp_path / 'run'), *arguments)
+def test_launcher_refuses_before_it_starts_anything(run_here, tmp_path, arguments, words):
+    code, output = run_here('launcher', '--output', str(tmp_path / 'run'), *arguments)
     assert code == 2
     assert_one_clear_error(output, *words)
     assert not (tmp_path / 'run').exists()
@@ -140,9 +155,8 @@ def test_launcher_passes_on_the_failure_of_a_node(domain, tmp_path, mode):
 
 
 def test_a_lone_simulator_gives_up_with_a_reason(domain):
-    code, output = run_node(
-        domain, 'simulator', 'expected_subscribers:=[launcher]', 'startup_timeout:=0.5'
-    )
+    given = ros_arguments('expected_subscribers:=[launcher]', 'startup_timeout:=0.5')
+    code, output = domain.run('simulator_node', *given)
     assert code == 1
     assert_one_clear_error(output, 'no control_force', 'startup_timeout = 0.5 s')
 
@@ -154,6 +168,6 @@ def test_a_broken_network_file(domain, tmp_path):
     }
     path = tmp_path / 'broken.json'
     path.write_text(json.dumps(content))
-    code, output = run_node(domain, 'simulator', f'network:={path}')
+    code, output = domain.run('simulator_node', *ros_arguments(f'network:={path}'))
     assert code == 1
     assert_one_clear_error(output, 'broken.json', 'fixed', 'mass 400')

@@ -17,9 +17,7 @@ from dpc_ros.resources import config_path
 LOOP = ('simulator', 'encoder', 'controller')
 REALTIME = ('--ros-args', '--params-file', str(config_path('realtime.yaml')))
 ORDERS = [
-    pytest.param(
-        order, id='-'.join(order), marks=[] if order[0] == 'controller' else pytest.mark.long
-    )
+    pytest.param(order, id='-'.join(order), marks=[] if order == LOOP[::-1] else pytest.mark.long)
     for order in itertools.permutations(LOOP)
 ]
 # A recorder's subscriptions may be found later than those of the loop.
