@@ -17,7 +17,7 @@ from dpc_ros.paper.published import (
 )
 
 Rows = list[dict[str, Any]]
-PAGES = ('experiments.md', 'control.md', 'reliability.md', '../README.md')  # beside the results
+PAGES = ('experiments.md', 'control.md', '../README.md')  # beside the results
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
