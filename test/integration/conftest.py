@@ -88,6 +88,7 @@ class Domain:
             'ROS_DOMAIN_ID': str(self.number),
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'PYTHONUNBUFFERED': '1',
+            'PYTHONFAULTHANDLER': '1',
         }
 
     def start(self, module: str, *arguments: str, cwd: Path | None = None) -> subprocess.Popen:
@@ -156,7 +157,13 @@ class Domain:
     def stop(self, process: subprocess.Popen) -> tuple[int, str]:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=GIVE_UP)
+        try:
+            output, _ = process.communicate(timeout=GIVE_UP)
+        except subprocess.TimeoutExpired:
+            has_ended = process.poll() is not None  # and another process has its output
+            process.send_signal(signal.SIGABRT)  # it prints where it is
+            output, _ = process.communicate(timeout=10)
+            raise AssertionError(f'it does not stop; {has_ended=}\n{output}') from None
         return process.returncode, output
 
 
