@@ -41,7 +41,11 @@ class BackgroundSolver(Solver):
         self._send()
 
     def answer(self) -> Answer | None:
-        return self._receive() if self._connection.poll() else None
+        try:
+            has_come = self._connection.poll()
+        except OSError:  # it is closed, as no other process could be started
+            has_come = True
+        return self._receive() if has_come else None
 
     def wait(self) -> Answer:
         while (answer := self._receive()) is None:

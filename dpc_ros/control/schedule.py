@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dpc_ros.control.targets import Target
+from dpc_ros.control.targets import Target, TargetError
+
+_MOST = 100  # targets that may wait for their time
 
 
 class TargetSchedule:
@@ -16,7 +18,16 @@ class TargetSchedule:
         self._in_force: tuple[int, Target] | None = None
 
     def add(self, stamp: int, target: Target) -> None:
-        """Take a target that counts from a stamp [ns] on."""
+        """Take a target that counts from a stamp [ns] on.
+
+        Raises:
+            TargetError: too many wait already.
+        """
+        if len(self._pending) >= _MOST and stamp not in self._pending:
+            raise TargetError(
+                f'expected at most {_MOST} targets that wait for their stamp, got one more for '
+                f'{stamp / 1e9:g} s: is that the time of the simulation?'
+            )
         self._pending.pop(stamp, None)  # of equal stamps the later one wins: keep one, in its turn
         self._pending[stamp] = target
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
@@ -40,10 +41,15 @@ def main() -> None:
 
 def _receive(connection: Connection[Any, Any], received: SimpleQueue[Any]) -> None:
     """Hand over what comes; end the process with the connection, whatever it is doing."""
-    with suppress(EOFError, OSError):
+    try:
         while True:
             received.put(connection.recv())
-    os._exit(0)
+    except (EOFError, OSError):
+        pass
+    except Exception:  # whatever can't be unpickled of a law that is not ours
+        traceback.print_exc()
+    finally:
+        os._exit(0)
 
 
 if __name__ == '__main__':

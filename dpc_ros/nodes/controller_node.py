@@ -17,7 +17,14 @@ from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from dpc_ros.control import Answers, BackgroundSolver, OnlineController, Target, load_target
+from dpc_ros.control import (
+    Answers,
+    BackgroundSolver,
+    OnlineController,
+    Target,
+    TargetError,
+    load_target,
+)
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
@@ -111,11 +118,15 @@ class ControllerNode(LoopNode):
         self._controller.change(settings)
 
     def _replay_parameters(self, message: ParameterEvent) -> None:
-        given = [
-            Parameter.from_parameter_msg(each)
-            for each in (*message.new_parameters, *message.changed_parameters)
-            if each.name in self.settings['replayed_parameters']
-        ]
+        try:
+            given = [
+                Parameter.from_parameter_msg(each)
+                for each in (*message.new_parameters, *message.changed_parameters)
+                if each.name in self.settings['replayed_parameters']
+            ]
+        except ValueError as error:  # a type that there is none of
+            self.reject('parameters', MessageError(str(error)))
+            return
         result = self.set_parameters_atomically(given)
         if not result.successful:
             self.reject('parameters', MessageError(result.reason))
@@ -126,10 +137,9 @@ class ControllerNode(LoopNode):
             target = read_target(
                 message, self._network.identifier, self._network.coordinate_names, len(self._names)
             )
-        except MessageError as error:
-            self.reject('target', error)
-            return
-        self._controller.add_target(stamp, target)
+            self._controller.add_target(stamp, target)
+        except (MessageError, TargetError) as error:
+            self.reject('target', MessageError(str(error)))
 
     def _control(self, message: JointState, info: dict[str, int]) -> None:
         if not (self.receive('latent_state', info) and self.matched(self._control_force)):
@@ -159,12 +169,12 @@ class ControllerNode(LoopNode):
                 self.health.saturated += self._controller.law.saturated
             answer = self._force(message.header.stamp, force)
             self._answers.remember(stamp, message, answer)
+            if self._watchdog is not None:
+                self._watchdog.reset()
+                self.health.watchdog = WATCHDOG_OK
         else:
             self.health.repeated += 1
         self.publish(self._control_force, answer)
-        if self._watchdog is not None:
-            self._watchdog.reset()
-            self.health.watchdog = WATCHDOG_OK
         self.health.processed(time.perf_counter() - begin)
 
     def _force(self, stamp: Time, force: np.ndarray) -> WrenchStamped:

@@ -118,7 +118,7 @@ def run_processes(plan: LaunchPlan, stop: StopRequest) -> Outcome:
         monitor.destroy_node()
     return Outcome(
         supervision.failure or failed_at_the_end,
-        supervision.exit_code,
+        supervision.exit_code or int(bool(failed_at_the_end)),
         processes.restarts,
         processes.bags,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import sys
 import traceback
@@ -42,6 +43,7 @@ CRASHED = os.EX_SOFTWARE  # exit code after an error that is none of the user's
 _DIAGNOSTIC_PERIOD = 1.0  # s
 # Together longer than the 3 s after which Fast DDS asks again for an acknowledgement it misses.
 _ACKNOWLEDGE_PERIODS = 5
+_LONGEST_END = 60  # s in which a node lets go of everything
 _ACKNOWLEDGE_PERIOD = Duration(seconds=1)
 _SPIN_PERIOD = 0.1  # s, within which a Ctrl-C is seen
 _REPORT_INTERVAL = 5.0  # s between two log lines about the same
@@ -217,11 +219,14 @@ class LoopNode(LifecycleNode):
         """
         self.health.arrived(info)
         gap = self._sequences[topic].gap(info['publication_sequence_number'])
+        several = f'{topic} has several publishers'
         if gap and self.count_publishers(topic) > 1:
-            self.health.warning = f'{topic} has several publishers'
-            self.say(f'{topic} has several publishers: stop all but one', problem=True)
+            self.health.warning = several
+            self.say(f'{several}: stop all but one', problem=True)
         else:
             self.health.lost[topic] += gap
+            if self.health.warning == several and self.count_publishers(topic) <= 1:
+                self.health.warning = ''
         return self.active
 
     def matched(self, *publishers: Publisher) -> bool:
@@ -434,7 +439,9 @@ def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | No
         except ValueError as error:
             print(f'error: {error}', file=sys.stderr)
             return 2
-        return _run(node, stop)
+        code = _run(node, stop)
+    faulthandler.cancel_dump_traceback_later()
+    return code
 
 
 def _run(node: LoopNode, stop: StopRequest) -> int:
@@ -452,6 +459,8 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
         traceback.print_exc()
         node.failure, code = f'unexpected {type(error).__name__}: {error}', CRASHED
     finally:
+        # Fast DDS can wait for ever for a lock of a process that was killed.
+        faulthandler.dump_traceback_later(_LONGEST_END, exit=True)
         executor.shutdown()
         node.close()
     if node.failure:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
@@ -47,16 +46,14 @@ class Monitor(Node):
     @property
     def seconds(self) -> float:
         """Simulated time of the newest configuration [s], 0 before the first."""
-        if 'configuration' not in self._newest:
-            return 0.0
-        state = deserialize_message(self._newest['configuration'], JointState)
-        return from_stamp(state.header.stamp) / NANOSECONDS
+        state = self._read('configuration')
+        return 0.0 if state is None else from_stamp(state.header.stamp) / NANOSECONDS
 
     def target_in_force(self) -> dict[str, list[float]] | None:
         """Return the target that the controller has announced last, as a target file has it."""
-        if 'target_in_force' not in self._newest:
+        target = self._read('target_in_force')
+        if target is None:
             return None
-        target = deserialize_message(self._newest['target_in_force'], JointState)
         kind = 'latent' if is_latent(target) else 'configuration'
         return {kind: [*target.position]}
 
@@ -72,9 +69,9 @@ class Monitor(Node):
         self._bar.close()
 
     def _show(self) -> None:
-        if 'configuration' not in self._newest:
+        state, target, answer = map(self._read, ('configuration', 'target', 'control_force'))
+        if state is None:
             return
-        state = deserialize_message(self._newest['configuration'], JointState)
         seconds = from_stamp(state.header.stamp) / NANOSECONDS
         if seconds == self._bar.n:
             return
@@ -82,23 +79,27 @@ class Monitor(Node):
         self._bar.set_description_str('running', refresh=False)
         shown = []
         configuration = np.array(state.position)
-        if 'target' in self._newest:
-            target = np.array(deserialize_message(self._newest['target'], JointState).position)
-            if self._start is not None and target.shape == configuration.shape:
-                begin = np.sum((self._start - target) ** 2)
-                nmse = np.sum((configuration - target) ** 2) / begin if begin else np.nan
-                shown.append(f'nMSE {nmse:.4f}')
-        if 'control_force' in self._newest:
-            force = deserialize_message(self._newest['control_force'], WrenchStamped).wrench.force
+        if self._start is None:  # what the error is normalised by
+            self._start = configuration
+        if target is not None and len(target.position) == self._start.size == configuration.size:
+            begin = np.sum((self._start - target.position) ** 2)
+            nmse = np.sum((configuration - target.position) ** 2) / begin if begin else np.nan
+            shown.append(f'nMSE {nmse:.4f}')
+        if answer is not None:
+            force = answer.wrench.force
             shown.append(f'|u| {np.hypot(force.x, force.y):.2f} N')
         self._bar.set_postfix_str('  '.join(shown), refresh=True)
 
     def _subscribe(self, topic: str) -> None:
         def keep(data: bytes) -> None:
-            # the first configuration is what the error is normalised by
-            if topic == 'configuration' and topic not in self._newest:
-                self._start = np.array(deserialize_message(data, JointState).position)
             self._newest[topic] = data
 
         entry = TOPICS[topic]
         self.create_subscription(entry.message_type, topic, keep, entry.qos, raw=True)
+
+    def _read(self, topic: str) -> Any:
+        """Return the newest message of a topic; None where there is none, or none that is one."""
+        try:
+            return deserialize_message(self._newest[topic], TOPICS[topic].message_type)
+        except (KeyError, RuntimeError):  # the base of what rclpy raises for other bytes
+            return None

@@ -20,6 +20,7 @@ from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.results import command_line
 
 STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
+_RECORDER_TIMEOUT = 60.0  # s; it may have to take what waits for it, and to write that
 _POLL = 0.02  # s
 _ASKED_TO_STOP = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)  # exit codes
 
@@ -98,12 +99,13 @@ class NodeProcesses:
         """
         loop = [node for node in self._processes if node != RECORDER]
         recorder = [node for node in self._processes if node == RECORDER]
-        return self._stop(loop) or self._stop(recorder)
+        problems = [self._stop(loop, STOP_TIMEOUT), self._stop(recorder, _RECORDER_TIMEOUT)]
+        return problems[0] or problems[1]
 
-    def _stop(self, nodes: list[str]) -> str:
+    def _stop(self, nodes: list[str], timeout: float) -> str:
         running = [node for node in nodes if self.are_running([node])]
         self.ask_to_stop(running)
-        deadline = time.monotonic() + STOP_TIMEOUT
+        deadline = time.monotonic() + timeout
         for node in running:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._processes[node].wait(max(deadline - time.monotonic(), _POLL))

@@ -146,6 +146,8 @@ class SimulatorNode(LoopNode):
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
         except MessageError as error:
+            if self._realtime:
+                self._let_go()
             self._refuse_force(error)
             return
         try:
@@ -206,7 +208,7 @@ class SimulatorNode(LoopNode):
         self._patience.begin(self._answered_at)
 
     def _start_stepping(self) -> None:
-        if self._running:
+        if self._stepper is not None:
             return
         self._running = True
         self.health.readings[_MISSED] = '0'
@@ -225,14 +227,17 @@ class SimulatorNode(LoopNode):
         self._count_missed()
         if self._paused or not self.active or self._at_end:
             return
+        self._let_go_if_stale()
+        self._warn()
+        self._advance()
+
+    def _let_go_if_stale(self) -> None:
         is_stale = self.steady_time() - self._answered_at > self.settings['force_timeout']
         if is_stale:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
             if self.settings['stale_force'] == 'zero':
                 self._let_go()
         self.health.watchdog = _STALE if is_stale else WATCHDOG_OK
-        self._warn()
-        self._advance()
 
     def _count_missed(self) -> None:
         """Count the ticks that the timer has left out since the last one."""
@@ -359,7 +364,7 @@ class SimulatorNode(LoopNode):
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused = request.data
-        self._begin_waiting()
+        self._patience.begin(self.steady_time())  # of the force, time goes on
         if not self._paused and self._answered and not self._realtime and self.active:
             self._advance()
         response.success = True
@@ -369,6 +374,8 @@ class SimulatorNode(LoopNode):
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         if self._paused and self.active and not self._at_end and (self._realtime or self._answered):
+            if self._realtime:
+                self._let_go_if_stale()
             self._advance()
             response.success = not self.failure
         else:

@@ -65,10 +65,9 @@ class Supervision:
         return bool(self.failure)
 
     def _judge(self, node: str) -> None:
-        process = str(self._processes.process_id(node))
+        process = self._process(node)
         silent_for = self._silent_for.get(process, 0.0)
         if silent_for > _HOPELESS * self._plan.silence:
-            del self._silent_for[process]
             self._processes.kill(node)
             self._restart(node, f'{node} was killed: it has not reported for {silent_for:.0f} s')
         elif silent_for > self._plan.silence and process not in self._reported:
@@ -84,6 +83,7 @@ class Supervision:
             limit = f', and --restarts {self._plan.restarts} allows no more' if done else ''
             self._give_up(why + limit, 1)
             return
+        self._silent_for.pop(self._process(node), None)
         self._processes.restart(node, self._target() if node == 'controller' else ())
         consequence = ''
         if node == RECORDER:
@@ -92,6 +92,10 @@ class Supervision:
         elif node == self._plan.leader:
             consequence = '; the body begins again at rest, and its duration counts anew'
         self._monitor.say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
+
+    def _process(self, name: str) -> str:
+        """Return the number of the process that a node is; of no other, whatever its name."""
+        return str(self._processes.process_id(name)) if name in self._plan.nodes else ''
 
     def _target(self) -> Iterable[str]:
         """Return the arguments by which a controller begins with the target that was in force."""
@@ -108,5 +112,5 @@ class Supervision:
     def _hear(self, message: DiagnosticArray) -> None:
         for status in message.status:
             for reading in status.values:
-                if reading.key == PROCESS_READING:
+                if reading.key == PROCESS_READING and reading.value == self._process(status.name):
                     self._silent_for[reading.value] = 0.0

@@ -1,10 +1,11 @@
 """Of the targets that are due, the newest is in force."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dpc_ros.control import Target, TargetSchedule
+from dpc_ros.control import Target, TargetError, TargetSchedule
 
 A, B, C = (Target(latent=np.array([value])) for value in (1.0, 2.0, 3.0))
 
@@ -75,3 +76,14 @@ def test_a_restart_of_nothing_is_nothing():
     schedule = TargetSchedule()
     schedule.restart()
     assert schedule.in_force(1) is None
+
+
+def test_targets_that_never_come_into_force_do_not_gather():
+    schedule = TargetSchedule()
+    for number in range(100):
+        schedule.add(100 + number, A)
+    with pytest.raises(TargetError, match='wait for their stamp'):
+        schedule.add(200, B)
+    schedule.add(100, C)  # instead of one that waits
+    assert schedule.in_force(100) is C
+    schedule.add(200, B)

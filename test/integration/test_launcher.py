@@ -435,6 +435,19 @@ def test_after_too_many_crashes_the_body_is_under_no_force(domain, observer, tmp
     np.testing.assert_array_equal(body.configuration, logged.configuration[-1])
 
 
+@pytest.mark.long
+def test_a_log_is_whole_though_a_node_does_not_stop(domain, observer, tmp_path):
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0', '--silence', '0')
+    run.begin('encoder')
+    advance(observer, run.stamps)
+    run.signal('encoder', signal.SIGSTOP)
+    run.launcher.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 1, output
+    assert 'encoder was ended by SIGKILL' in output
+    assert len(read_run(tmp_path / 'run' / 'bag').configuration) > 0
+
+
 IMPORTS = 'multiarray_umath'  # a library of numpy's, early among those of a program
 
 

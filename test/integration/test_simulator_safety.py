@@ -13,7 +13,7 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
@@ -142,8 +142,8 @@ def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
 
 
 @pytest.mark.faults(
-    fault='a second controller; forces that are too strong, late, or of a state to come',
-    promise='rejected and reported; no force acts from the next step on',
+    fault='a second controller; forces that are too strong, not finite, or of a state to come',
+    promise='rejected and reported; no force acts from the next step on; late ones are passed over',
     mode='realtime',
     most=10,
 )
@@ -190,10 +190,22 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     def changes():
         return [force for force, _ in itertools.groupby(judge())]
 
+    def pause(whether):
+        assert witness.call(SetBool, 'simulator/pause', SetBool.Request(data=whether)).success
+
+    def step():
+        assert witness.call(Trigger, 'simulator/step', Trigger.Request()).success
+
+    pause(True)  # and a step before the first force: time runs all the same once there is one
+    step()
+    pause(False)
     witness.push([1.0, 0.0], 'aaaa')
     wait_until_acts(1.0)
-    witness.push([60.0, 0.0], 'aaaa')  # too strong
-    wait_until_acts(0.0)
+    for bad, stamp in ((60.0, None), (np.nan, None), (4.0, 10**12)):
+        witness.push([bad, 0.0], 'aaaa', stamp)
+        wait_until_acts(0.0)
+        witness.push([1.0, 0.0], 'aaaa')
+        wait_until_acts(1.0)
     newest = witness.push([2.0, 0.0], 'aaaa')
     wait_until_acts(2.0)
     witness.push([3.0, 0.0], 'aaaa', stamp=newest - STEP)  # late
@@ -211,7 +223,8 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     witness.set_parameters('simulator', controller_timeout=0.001, force_rate_limit=100.0)
     witness.push([2.0, 0.0], 'bbbb')  # taken by itself, in steps of 100 N/s
     wait_until_acts(2.0)
-    assert changes() == [1.0, 0.0, 2.0, 2.5, 0.0, 1.0, 0.0, 0.5, 1.0, 1.5, 2.0]
+    refused = [0.0, 1.0] * 3
+    assert changes() == [0.0, 1.0, *refused, 2.0, 2.5, 0.0, 1.0, 0.0, 0.5, 1.0, 1.5, 2.0]
     assert judge().count(0.5) == judge().count(1.5) == 1
 
     simulator.send_signal(signal.SIGSTOP)
@@ -246,6 +259,13 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     np.testing.assert_array_equal(witness.states[leap + 1].position, NETWORK.rest_configuration)
     after = [force for force, _ in itertools.groupby(judge()[leap + 1 :])]
     assert after[:2] == [0.0, 0.5]
+    pause(True)
+    paused = time.monotonic()
+    observer.wait(lambda: time.monotonic() > paused + 0.2, 'the force to become stale')
+    begin = len(judge())
+    step()
+    observer.wait(lambda: len(judge()) > begin, 'the step')
+    assert judge()[begin:] == [0.0]
     code, output = domain.stop(simulator)
     assert code == 0, output
     for words in ('expected at most 50 N, got 60', 'stale, using zero'):

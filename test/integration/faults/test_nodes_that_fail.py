@@ -1,6 +1,6 @@
 """A node that dies or hangs: the body is left alone, and the loop goes on when the node does."""
 
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from time import time
 
 import numpy as np
@@ -46,9 +46,8 @@ def freedom(loop, moved_by, since):
     )
     last = next(each for each in reversed(loop.forces) if each.force.any())
     steps = [*pairwise(state for state in loop.states if state.sent >= last.sent)]
-    forced = [after for before, after in steps if moved_by(last.force, before, after)]
-    free = next(after for before, after in steps if moved_by(nothing, before, after))
-    assert not forced or forced[-1].stamp < free.stamp
+    forced = [*takewhile(lambda step: not moved_by(nothing, *step), steps)]
+    _, free = steps[len(forced)]
     return free.sent, len(forced)
 
 
