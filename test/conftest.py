@@ -55,7 +55,7 @@ from dpc_ros.network import (  # noqa: E402
 )
 from dpc_ros.reduction import CompressedSystem  # noqa: E402
 from dpc_ros.resources import share_directory  # noqa: E402
-from dpc_ros.results import write_results  # noqa: E402
+from dpc_ros.results import read_results, source_commit, write_results  # noqa: E402
 
 # A shell ignores SIGINT for what it starts in the background, and so would the tests' processes.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -73,7 +73,8 @@ _PROMISES = pytest.StashKey[dict]()
 def pytest_addoption(parser):
     group = parser.getgroup('faults', 'Tests of faults')
     group.addoption('--repetitions', type=int, default=1, help='how often each fault is put in')
-    group.addoption('--fault-results', type=Path, help='file to write what was measured to')
+    help_text = 'file that takes what was measured; of tests that are not run it keeps what it has'
+    group.addoption('--fault-results', type=Path, help=help_text)
 
 
 def pytest_configure(config):
@@ -121,7 +122,8 @@ def pytest_runtest_makereport(item, call):
 def pytest_sessionfinish(session, exitstatus):
     path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
     if path and exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        write_results(path, [*rows.values()])
+        known = read_results(path) if path.exists() else []
+        write_results(path, [*({_key(row): row for row in known} | rows).values()])
 
 
 @pytest.fixture
@@ -153,8 +155,12 @@ def kept_promise(request):
 
 def _promise(item, fault, promise, mode):
     row = {'fault': fault, 'mode': mode, 'promise': promise, 'test': item.originalname}
-    counts = {'repetitions': 0, 'kept': 0}
-    return item.config.stash[_PROMISES].setdefault(tuple(row.values()), row | counts)
+    fresh = {'commit': source_commit(), 'repetitions': 0, 'kept': 0}
+    return item.config.stash[_PROMISES].setdefault(_key(row), row | fresh)
+
+
+def _key(row):
+    return row['fault'], row['mode'], row['test']
 
 
 def make_grid(rows, columns, seed=None, name='grid'):

@@ -58,7 +58,12 @@ def test_nodes_started_by_hand_converge_in_any_order(
 
 
 @pytest.mark.parametrize(
-    'mode', [(), ('--composed',), ('--realtime',)], ids=['processes', 'composed', 'realtime']
+    'mode',
+    [
+        pytest.param((), id='processes', marks=pytest.mark.long),
+        pytest.param(('--composed',), id='composed'),
+        pytest.param(('--realtime',), id='realtime'),
+    ],
 )
 def test_ctrl_c_ends_the_launcher_cleanly_and_keeps_the_log(domain, observer, tmp_path, mode):
     seen = []

@@ -21,6 +21,7 @@ FLAT = 4e6  # byte by which a node may grow after its first minute, in nine more
 INPUTS = ('configuration', 'latent_state', 'target', 'control_force', 'external_force')
 
 
+@pytest.mark.long
 def test_a_target_that_changes_a_thousand_times(loop, kept_promise, passed):
     """As a slider in a viewer does it; what counts in the end is the last one."""
     running = loop('realtime')

@@ -161,7 +161,8 @@ def test_lockstep_waits_for_a_stopped_node(
     )
 
 
-@pytest.mark.parametrize('fault', ['killed', pytest.param('stopped', marks=LONG)])
+@LONG
+@pytest.mark.parametrize('fault', ['killed', 'stopped'])
 def test_control_goes_on_with_the_simulator(loop, fault, repetitions, kept_promise, passed):
     running = loop('realtime', simulator={'force_timeout': TIMEOUT})
     recovery = []
