@@ -3,9 +3,11 @@
 import os
 from pathlib import Path
 
+from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.resources import config_path
 
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+_FIRST_NAME_IN = ('humble', 'iron', 'jazzy')  # the others call the first one deprecated
 _FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')  # where a process starts
 
 
@@ -18,5 +20,5 @@ def announce_often() -> None:
     """
     has_own = any(name in os.environ for name in PROFILE_VARIABLES)
     if not has_own and not any(Path(name).exists() for name in _FILES):
-        for name in PROFILE_VARIABLES:  # of the Fast DDS of Jazzy, and of that of Kilted
-            os.environ[name] = str(config_path('fast_dds.xml'))
+        variable = PROFILE_VARIABLES[ros_distribution() not in _FIRST_NAME_IN]
+        os.environ[variable] = str(config_path('fast_dds.xml'))

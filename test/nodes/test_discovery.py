@@ -31,10 +31,16 @@ def profiles():
     return {name: os.environ.get(name) for name in PROFILE_VARIABLES}
 
 
-def test_the_shipped_profile_is_used(monkeypatch):
-    monkeypatch.setattr(os, 'environ', os.environ.copy())
+@pytest.mark.parametrize(
+    ('distribution', 'variable'),
+    [('jazzy', PROFILE_VARIABLES[0]), ('kilted', PROFILE_VARIABLES[1])],
+)
+def test_the_shipped_profile_is_used(monkeypatch, distribution, variable):
+    monkeypatch.setattr(os, 'environ', os.environ | {'ROS_DISTRO': distribution})
     announce_often()
-    assert profiles() == dict.fromkeys(PROFILE_VARIABLES, str(config_path('fast_dds.xml')))
+    assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {
+        variable: str(config_path('fast_dds.xml'))
+    }
 
 
 @pytest.mark.parametrize('variable', PROFILE_VARIABLES)
