@@ -217,6 +217,7 @@ def test_a_second_search_finds_everything_done(search, recipe, data_folder):
     assert {path: path.stat().st_mtime_ns for path in folder.glob('*.json')} == before
 
 
+@pytest.mark.long
 def test_early_stopping_ends_a_training_that_is_behind(recipe, data_folder, tmp_path):
     good = replace(recipe, name='good', skip=False, epochs=24, batch_size=16)
     bad = replace(good, name='bad', learning_rate=0.0)

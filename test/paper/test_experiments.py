@@ -126,6 +126,7 @@ def small_reduced(body, monkeypatch):
     return reduced
 
 
+@pytest.mark.long
 def test_models_are_compared_as_compressed_systems(workshop, body, small_reduced, tmp_path):
     rows = small_reduced.measure(workshop, (body,))
     assert [row['model'] for row in rows['reduced']] == ['pod', 'ours']
