@@ -83,7 +83,11 @@ class LoopNode(LifecycleNode):
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
         self.kind = kind
-        self.settings: Mapping[str, Any] = declare_parameters(self, kind)
+        try:
+            self.settings: Mapping[str, Any] = declare_parameters(self, kind)
+        except ValueError:
+            self.destroy_node()
+            raise
         self.health = Health()
         self.failure = ''
         self.finished = False
