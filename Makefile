@@ -40,7 +40,7 @@ TEST_EXTRAS := [test]
 endif
 endif
 
-PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --no-compile --quiet $(CONSTRAINTS)
+PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
 INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
 
