@@ -123,7 +123,9 @@ def pytest_sessionfinish(session, exitstatus):
     path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
     if path and exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         known = read_results(path) if path.exists() else []
-        write_results(path, [*({_key(row): row for row in known} | rows).values()])
+        commit = {'commit': source_commit()}
+        found = {key: row | commit for key, row in rows.items()}
+        write_results(path, [*({_key(row): row for row in known} | found).values()])
 
 
 @pytest.fixture
@@ -155,8 +157,8 @@ def kept_promise(request):
 
 def _promise(item, fault, promise, mode):
     row = {'fault': fault, 'mode': mode, 'promise': promise, 'test': item.originalname}
-    fresh = {'commit': source_commit(), 'repetitions': 0, 'kept': 0}
-    return item.config.stash[_PROMISES].setdefault(_key(row), row | fresh)
+    counts = {'repetitions': 0, 'kept': 0}
+    return item.config.stash[_PROMISES].setdefault(_key(row), row | counts)
 
 
 def _key(row):

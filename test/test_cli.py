@@ -314,11 +314,11 @@ def test_draw_writes_a_picture(dpc, tmp_path, small_network):
 def test_reduce_shows_the_errors_and_writes_pictures(dpc, tmp_path):
     run = dpc(
         'reduce', 'paper_2', '--checkpoint', 'paper_2_extended_m5', '--step', '0.05',
-        '--simulation', '18', '--output', 'here', '--results', 'reduced.json',
+        '--simulation', '18', '--output', 'here', '--results', 'reduced.json', '--animation',
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     names = {path.name for path in (tmp_path / 'here').iterdir()}
-    assert names == {'errors.png', 'energies.png', 'frames.png'}
+    assert names == {'errors.png', 'energies.png', 'frames.png', 'motion.gif'}
     *course, summary = json.loads((tmp_path / 'reduced.json').read_text())['rows']
     assert [row['time_s'] for row in course] == pytest.approx(np.arange(101) * 0.05)
     assert f'relative error of q     {summary["relative_error"]:.3%}' in run.stdout

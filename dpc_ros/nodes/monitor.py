@@ -69,7 +69,7 @@ class Monitor(Node):
         self._bar.close()
 
     def _show(self) -> None:
-        state, target, answer = map(self._read, ('configuration', 'target', 'control_force'))
+        state = self._read('configuration')
         if state is None:
             return
         seconds = from_stamp(state.header.stamp) / NANOSECONDS
@@ -79,8 +79,8 @@ class Monitor(Node):
         self._bar.set_description_str('running', refresh=False)
         shown = []
         configuration = np.array(state.position)
-        if self._start is None:  # what the error is normalised by
-            self._start = configuration
+        target, answer = self._read('target'), self._read('control_force')
+        assert self._start is not None  # it came with the first configuration
         if target is not None and len(target.position) == self._start.size == configuration.size:
             begin = np.sum((self._start - target.position) ** 2)
             nmse = np.sum((configuration - target.position) ** 2) / begin if begin else np.nan
@@ -93,6 +93,10 @@ class Monitor(Node):
     def _subscribe(self, topic: str) -> None:
         def keep(data: bytes) -> None:
             self._newest[topic] = data
+            # the first configuration is what the error is normalised by
+            if topic == 'configuration' and self._start is None:
+                state = self._read(topic)
+                self._start = None if state is None else np.array(state.position)
 
         entry = TOPICS[topic]
         self.create_subscription(entry.message_type, topic, keep, entry.qos, raw=True)

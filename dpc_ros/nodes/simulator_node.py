@@ -145,12 +145,6 @@ class SimulatorNode(LoopNode):
             stamp = read_stamp(message.header.stamp)
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
-        except MessageError as error:
-            if self._realtime:
-                self._let_go()
-            self._refuse_force(error)
-            return
-        try:
             now = self.steady_time()
             first = self._controllers.hear(read_controller(message), stamp, force, now)
             force = force if self._realtime else first
