@@ -5,7 +5,7 @@ The nodes are adapters around these; a log that is run again is fed to the very 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -108,6 +108,7 @@ class OnlineController:
     Args:
         parameters: of the controller node, by name.
         solver: who solves; this process where left out.
+        meanwhile: is called each second while this process solves.
 
     Attributes:
         law: the control law in force.
@@ -119,12 +120,17 @@ class OnlineController:
         ValueError: a parameter, or a checkpoint of another network.
     """
 
-    def __init__(self, parameters: Mapping[str, Any], solver: Solver | None = None) -> None:
+    def __init__(
+        self,
+        parameters: Mapping[str, Any],
+        solver: Solver | None = None,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> None:
         self.network, self.checkpoint, self._system = load_system(parameters)
         self.parameters: Mapping[str, Any] = _of_law(parameters)
         self.wanted: Mapping[str, Any] = self.parameters
         self.law: ControlLaw = law_of_parameters(self.parameters, self._system)
-        self._solver = solver or SolverHere(self._system)
+        self._solver = solver or SolverHere(self._system, meanwhile)
         self._schedule = TargetSchedule()
         self._target: Target | None = None  # of the law in force
         self._seen: Target | None = None  # that has been asked for last

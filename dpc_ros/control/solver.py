@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent import futures
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ from dpc_ros.control.law import ControlLaw
 from dpc_ros.control.registry import law_of_parameters
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
+
+_MEANWHILE_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +81,16 @@ class SolverHere(Solver):
 
     Args:
         system: the compressed system of the law.
+        meanwhile: is called each second while it solves: to say that it does.
     """
 
     is_here = True
 
-    def __init__(self, system: CompressedSystem) -> None:
+    def __init__(
+        self, system: CompressedSystem, meanwhile: Callable[[], None] | None = None
+    ) -> None:
         self._system = system
+        self._meanwhile = meanwhile
         self._question: Question | None = None
         self._law: tuple[Mapping[str, Any], ControlLaw] | None = None  # with its parameters
 
@@ -94,6 +101,15 @@ class SolverHere(Solver):
         return self.wait()
 
     def wait(self) -> Answer:
+        if self._meanwhile is None:
+            return self._solve()
+        with futures.ThreadPoolExecutor(max_workers=1) as thread:
+            answer = thread.submit(self._solve)
+            while futures.wait([answer], timeout=_MEANWHILE_PERIOD).not_done:
+                self._meanwhile()
+            return answer.result()
+
+    def _solve(self) -> Answer:
         question = self._question
         assert question is not None
         try:

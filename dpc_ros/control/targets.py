@@ -58,10 +58,6 @@ class Target:
         assert value is not None
         return value
 
-    def is_same(self, other: Target) -> bool:
-        """Return whether another target is of the same kind and has the same values."""
-        return self.is_latent == other.is_latent and np.array_equal(self.value, other.value)
-
     def check_sizes(self, configuration_size: int, latent_size: int) -> None:
         """Make sure that the target fits a body and its autoencoder.
 

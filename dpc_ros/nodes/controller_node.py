@@ -56,7 +56,7 @@ class ControllerNode(LoopNode):
     def configure(self) -> None:
         settings = self.settings
         self._solver = BackgroundSolver(settings) if settings['solve_in_background'] else None
-        self._controller = OnlineController(settings, self._solver)
+        self._controller = OnlineController(settings, self._solver, self.report)
         self._network = self._controller.network
         self._identifier = self._controller.checkpoint.identifier
         self.health.readings |= {

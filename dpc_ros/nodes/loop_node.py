@@ -103,7 +103,7 @@ class LoopNode(LifecycleNode):
         self._error: Exception | None = None  # that it met while it started by itself
         self._serve_transitions()
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self.create_timer(_DIAGNOSTIC_PERIOD, self._report, clock=self._steady_clock)
+        self.create_timer(_DIAGNOSTIC_PERIOD, self.report, clock=self._steady_clock)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
 
@@ -318,14 +318,14 @@ class LoopNode(LifecycleNode):
         self.failure = reason
         self.active = False
         if self.context.ok():
-            self._report()
+            self.report()
 
     def wait_until_acknowledged(self) -> None:
         """Block until every matched subscription has what was published; report meanwhile."""
         periods = 0
         for publisher in self._outputs:
             while not publisher.wait_for_all_acked(_ACKNOWLEDGE_PERIOD):
-                self._report()
+                self.report()
                 periods += 1
                 if periods >= _ACKNOWLEDGE_PERIODS:
                     self.get_logger().warning(f'not all of {publisher.topic_name} was acknowledged')
@@ -410,7 +410,7 @@ class LoopNode(LifecycleNode):
         self.health.readings.clear()
         self._matched = False
 
-    def _report(self) -> None:
+    def report(self) -> None:
         _, state = self._state_machine.current_state
         status = self.health.report(
             self.get_name(), self.get_fully_qualified_name(), state, self.failure

@@ -46,7 +46,9 @@ class StopRequest:
 
     def __enter__(self) -> StopRequest:
         for number in _SIGNALS:
-            self._previous[number] = signal.signal(number, self._ask)
+            # one that whoever started the process ignores for it, as `nohup` does, stays so
+            if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN:
+                self._previous[number] = signal.signal(number, self._ask)
         try:
             self._initialize()
         except ValueError:

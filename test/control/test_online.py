@@ -1,11 +1,14 @@
 """What a controller is given while it runs counts from a state on, solved for once."""
 
+from threading import Event
+
 import numpy as np
 import pytest
 
 from dpc_ros.control import BackgroundSolver, OnlineController, Target
+from dpc_ros.control import solver as solver_module
 from dpc_ros.control.online import load_system
-from dpc_ros.control.registry import LAW_PARAMETERS
+from dpc_ros.control.registry import LAW_PARAMETERS, law_of_parameters
 from dpc_ros.control.solver import Question, SolverHere
 from dpc_ros.parameters import node_parameters
 from dpc_ros.threads import single_threaded_algebra
@@ -154,3 +157,19 @@ def test_another_process_gives_the_same_bits(solver):
                     np.testing.assert_array_equal(getattr(there.solution, name), value)
     finally:
         background.close()
+
+
+def test_who_waits_for_an_answer_here_can_say_so_meanwhile(monkeypatch):
+    monkeypatch.setattr(solver_module, '_MEANWHILE_PERIOD', 0.001)
+    looked = Event()
+
+    def solve(law, target):
+        assert looked.wait(60)
+        return 'solved'
+
+    system = load_system(PARAMETERS)[2]
+    law = law_of_parameters(OF_LAW, system)
+    monkeypatch.setattr(type(law), 'solve', solve)
+    solver = SolverHere(system, looked.set)
+    solver.ask(Question(OF_LAW, A))
+    assert solver.wait().solution == 'solved'

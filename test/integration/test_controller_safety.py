@@ -296,12 +296,15 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
         if number % 100 == 0:
             assert force_of(controller.step()) == [-1.0, 2.0]
     (gate / 'open').touch()
-    controller.step_until(lambda: force_of(controller.forces[-1]) == [BOUND, 0.0], 'the last one')
-    assert solved.read_text().split()[-2:] == ['1', str(TARGETS)]
-    observer.wait(lambda: len(controller.in_force) == 3, 'the targets in force')
-    assert [each.position[0] for each in controller.in_force] == [-1.0, 1.0, float(TARGETS)]
+    controller.step_until(lambda: solved.read_text().split()[-1] == str(TARGETS), 'the last one')
+    numbers = [int(each) for each in solved.read_text().split()]
+    newest = numbers[numbers.index(1) + 1 :]
+    assert len(newest) <= 2, newest  # a few may have been on their way when the gate was opened
+    brought = [-1, 1, *newest]
+    controller.step_until(lambda: len(controller.in_force) == len(brought), 'the targets in force')
+    assert [each.position[0] for each in controller.in_force] == brought
     first = next(each for each in controller.forces if force_of(each) == [BOUND, 0.0])
-    assert from_stamp(controller.in_force[-1].header.stamp) == from_stamp(first.header.stamp)
+    assert from_stamp(controller.in_force[2].header.stamp) == from_stamp(first.header.stamp)
 
     # A solver that was killed is replaced; no target is lost.
     (solver,) = children(controller.process)

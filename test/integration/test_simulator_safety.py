@@ -118,8 +118,14 @@ def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
     witness.push([5.0, 0.0], 'feedface', stamp=0)
     witness.wait_for_rejection('simulator', 'got those of ')
     assert 'feedface' in witness.warnings['simulator']
+    count = len(witness.states)
+
+    def stands():
+        return len({from_stamp(state.header.stamp) for state in witness.states[count:][-4:]}) == 1
+
+    observer.wait(lambda: len(witness.states) > count + 4 and stands(), 'the unanswered state')
     waiting, count = witness.stamp, len(witness.states)
-    observer.wait(lambda: len(witness.states) > count + 3, 'the state that nobody answers')
+    observer.wait(lambda: len(witness.states) > count + 3, 'it to be repeated')
     assert {from_stamp(state.header.stamp) for state in witness.states[count:]} == {waiting}
     # The second one has been silent for that long: the first is taken again.
     limit = 6.0  # s; Fast DDS alone may take 3 s to find back to a process that stood still
