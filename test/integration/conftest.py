@@ -1,6 +1,7 @@
 """Real processes over real DDS, each test on a domain of its own."""
 
 import contextlib
+import gc
 import os
 import re
 import signal
@@ -71,6 +72,11 @@ def owned_shared_memory() -> set[Path]:
     """Return what has a living owner; who has talked to a dead one keeps its memory mapped."""
     processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
     return named_shared_memory([name for each in processes for name in open_files(each)])
+
+
+def memory_owned_here() -> set[Path]:
+    """Return what nodes in this process have; what killed ones leave there can't be cleaned up."""
+    return named_shared_memory(open_files('self'))
 
 
 @dataclass
@@ -182,6 +188,8 @@ def domain():
     with domain_id() as number:
         domain = Domain(number)
         yield domain
+        if memory_owned_here():
+            gc.collect()  # a node and its callbacks refer to each other
         for process in domain.processes:
             if process.poll() is None:
                 process.terminate()
@@ -191,6 +199,7 @@ def domain():
             domain.kill(process)
         for path in domain.left_behind - owned_shared_memory():
             path.unlink(missing_ok=True)
+        assert not memory_owned_here(), 'a node in the process of the test was not destroyed'
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """Both executors behave alike, over real DDS."""
 
+import gc
 import itertools
 import os
 import signal
@@ -78,6 +79,9 @@ class Ros:
         for node in self.nodes:
             node.destroy_node()
         self.context.try_shutdown()
+        if any(isinstance(node, LifecycleNode) for node in self.nodes):
+            self.nodes.clear()
+            gc.collect()  # it and its services refer to each other, and keep shared memory
 
 
 @pytest.fixture(
