@@ -32,20 +32,34 @@ BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'rerun']
 
 
 @pytest.fixture
-def dpc(tmp_path):
-    """Run `dpc` in an empty folder."""
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv('MPLBACKEND', 'agg')
+    monkeypatch.setenv('COLUMNS', '100')
+
+
+@pytest.fixture
+def dpc(in_empty_folder, capfd):
+    """Run `dpc` in this process, in an empty folder."""
 
     def run(*arguments):
-        return subprocess.run(
-            [sys.executable, '-m', 'dpc_ros.cli', *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            env={**os.environ, 'MPLBACKEND': 'agg', 'COLUMNS': '100'},
-        )
+        code = 0
+        try:
+            cli.main([*arguments])
+        except SystemExit as end:
+            code = end.code
+        return subprocess.CompletedProcess(arguments, code, *capfd.readouterr())
 
     return run
+
+
+@pytest.fixture
+def program(in_empty_folder):
+    """Run `dpc` as a process of its own, in an empty folder."""
+    command = [sys.executable, '-m', 'dpc_ros.cli']
+    return lambda *arguments: subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, check=False
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,8 +78,23 @@ def test_help_says_what_a_command_does(dpc, command):
         assert all(name in run.stdout for name in BAG_COMMANDS)
 
 
-def test_version(dpc):
-    assert dpc('--version').stdout.strip() == dpc_ros.__version__
+def test_version(program):
+    assert program('--version').stdout.strip() == dpc_ros.__version__
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'code', 'begin'),
+    [
+        (['--help'], 0, ''),
+        (['simulate'], 2, 'usage: dpc simulate'),
+        (['simulate', 'paper_9'], 2, "error: no systems file 'paper_9'"),
+    ],
+)
+def test_process_ends_as_the_command_does(program, arguments, code, begin):
+    run = program(*arguments)
+    assert run.returncode == code
+    assert run.stderr.startswith(begin)
+    assert 'Traceback' not in run.stderr
 
 
 @pytest.mark.parametrize(
@@ -313,14 +342,14 @@ def test_draw_writes_a_picture(dpc, tmp_path, small_network):
 
 def test_reduce_shows_the_errors_and_writes_pictures(dpc, tmp_path):
     run = dpc(
-        'reduce', 'paper_2', '--checkpoint', 'paper_2_extended_m5', '--step', '0.05',
+        'reduce', 'paper_2', '--checkpoint', 'paper_2_extended_m5', '--step', '0.1',
         '--simulation', '18', '--output', 'here', '--results', 'reduced.json', '--animation',
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     names = {path.name for path in (tmp_path / 'here').iterdir()}
     assert names == {'errors.png', 'energies.png', 'frames.png', 'motion.gif'}
     *course, summary = json.loads((tmp_path / 'reduced.json').read_text())['rows']
-    assert [row['time_s'] for row in course] == pytest.approx(np.arange(101) * 0.05)
+    assert [row['time_s'] for row in course] == pytest.approx(np.arange(51) * 0.1)
     assert f'relative error of q     {summary["relative_error"]:.3%}' in run.stdout
     # Of a test simulation, and what the docs promise of its system.
     assert summary['relative_error_about_rest'] < 0.012

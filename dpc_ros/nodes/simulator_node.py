@@ -226,7 +226,10 @@ class SimulatorNode(LoopNode):
         self._advance()
 
     def _let_go_if_stale(self) -> None:
-        is_stale = self.steady_time() - self._answered_at > self.settings['force_timeout']
+        limit = self.settings['force_timeout']
+        # It may have been long on its way: the state that it answers tells, in ticks.
+        age = (self._awaited - self._answer_stamp) / self.settings['real_time_factor']
+        is_stale = age > limit * NANOSECONDS or self.steady_time() - self._answered_at > limit
         if is_stale:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
             if self.settings['stale_force'] == 'zero':

@@ -126,6 +126,7 @@ def animate(
             handles, labels = panels[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc='outside upper center', ncols=3, frameon=False)
         canvas.draw()
+        figure.set_layout_engine('none')  # as it is laid out now, which takes most of the time
         image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert('RGB')
         pictures.append(image.quantize(_GIF_COLOURS))
     with replacing(path) as partial:

@@ -243,6 +243,13 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     witness.set_parameters('simulator', real_time_factor=0.5, stale_force='zero', force_timeout=0.1)
     wait_until_acts(0.0)  # let go at once, whatever the rate
     assert changes()[-2:] == [2.0, 0.0]
+    free = witness.stamp
+    observer.wait(lambda: witness.stamp > free + 40 * STEP, 'steps without a force')
+    witness.push([1.5, 0.0], 'bbbb', stamp=witness.stamp - 20 * STEP)  # was long on its way
+    witness.push([0.5, 0.0], 'bbbb')
+    wait_until_acts(0.5)
+    wait_until_acts(0.0)
+    assert changes()[-4:] == [2.0, 0.0, 0.5, 0.0]
     observer.wait(
         lambda: witness.health['simulator'].get('rate-limited steps') == '3', 'the limited steps'
     )

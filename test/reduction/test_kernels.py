@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import dpc_ros
 
 PACKAGE = Path(dpc_ros.__file__).parent
@@ -26,6 +28,7 @@ print(np.abs(system.acceleration(*state) - system._accelerations(*state)).max())
 """
 
 
+@pytest.mark.long  # it compiles all kernels twice
 def test_a_change_of_the_bodys_kernels_reaches_the_compressed_system(tmp_path):
     """numba keeps compiled functions by the file that they stand in, not by what they call."""
     copy = tmp_path / 'dpc_ros'

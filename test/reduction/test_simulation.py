@@ -89,7 +89,7 @@ def test_energy_of_an_undamped_implicit_simulation_does_not_drift(undamped):
     swings = []
     for step in (0.02, 0.01):
         trajectory = simulate_compressed(
-            undamped, LATENT, VELOCITY, step, round(10 / step), None, 'implicit_midpoint'
+            undamped, LATENT, VELOCITY, step, round(4 / step), None, 'implicit_midpoint'
         )
         error = energies(undamped, trajectory)
         error -= error[0]

@@ -9,8 +9,7 @@ import pytest
 pytestmark = pytest.mark.faults
 LONG = pytest.mark.long  # where another case of the same is in every run
 TIMEOUT = 0.1  # s, after which a force is stale
-# What the timer's grid has in the time-out, with one tick that was late before it, and one within.
-FORCED_STEPS = round(TIMEOUT * 200) + 2
+FORCED_STEPS = round(TIMEOUT * 200) + 1  # that one of the state which the force answers
 
 
 def epochs(states):
