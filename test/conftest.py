@@ -18,6 +18,8 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
+os.environ.setdefault('OMP_NUM_THREADS', '1')  # tests run side by side, and wait on each other
+
 import hypothesis
 import numpy as np
 import pytest

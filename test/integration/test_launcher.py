@@ -476,7 +476,13 @@ MILESTONES = {
     mode='lockstep',
     most=5,
 )
-@pytest.mark.parametrize('milestone', MILESTONES)
+@pytest.mark.parametrize(
+    'milestone',
+    [
+        pytest.param(each, marks=[] if each in ('imports', 'node processes') else pytest.mark.long)
+        for each in MILESTONES
+    ],
+)
 def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milestone):
     """With one more while it is finishing, if it gets that far."""
     run = Launched(domain, observer, tmp_path / 'run', '--duration', '0')
@@ -559,12 +565,13 @@ for cycle in range(int(sys.argv[1])):
 """
 
 
-MANY = pytest.param(100, marks=[pytest.mark.long, pytest.mark.timeout(3600)])
+MANY = 100
+LONG = (pytest.mark.long, pytest.mark.timeout(3600))
 PAGE = os.sysconf('SC_PAGE_SIZE')
 LARGEST_GROWTH = 4 * 2**20  # bytes, over all cycles but the first two
 
 
-@pytest.mark.parametrize('cycles', [1, MANY])
+@pytest.mark.parametrize('cycles', [pytest.param(MANY, marks=LONG)])
 def test_starting_and_stopping_leaves_nothing(domain, observer, tmp_path, cycles, kept_promise):
     for cycle in range(cycles):
         run = Launched(domain, observer, tmp_path / f'run_{cycle}', '--duration', '0.05')
@@ -580,7 +587,7 @@ def test_starting_and_stopping_leaves_nothing(domain, observer, tmp_path, cycles
     )
 
 
-@pytest.mark.parametrize('cycles', [3, MANY])
+@pytest.mark.parametrize('cycles', [3, pytest.param(MANY, marks=LONG)])
 def test_starting_and_stopping_in_one_process_leaves_nothing(
     domain, tmp_path, cycles, kept_promise
 ):

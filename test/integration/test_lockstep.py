@@ -37,7 +37,7 @@ def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, 
     ('checkpoint', 'encoder'),
     [
         pytest.param('paper_2_flat_m2', 'network', marks=pytest.mark.long),
-        ('paper_2_graph_m5', 'network'),
+        pytest.param('paper_2_graph_m5', 'network', marks=pytest.mark.long),
         pytest.param('paper_2_pod_m5', 'network', marks=pytest.mark.long),
         ('paper_2_extended_m5', 'projection'),
     ],
@@ -78,9 +78,8 @@ def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_pr
     assert_repeats(tmp_path / 'run' / 'bag', expected)
 
 
-@pytest.mark.parametrize(
-    'law', ['reduced_equilibrium', pytest.param('transpose', marks=pytest.mark.long)]
-)
+@pytest.mark.long  # a law of another package is in every run
+@pytest.mark.parametrize('law', ['reduced_equilibrium', 'transpose'])
 def test_every_law_gives_the_same(domain, tmp_path, assert_repeats, in_process, law):
     output_folder = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
     code, output = domain.run('launcher', *output_folder, '--law', law)
@@ -100,7 +99,13 @@ def test_a_law_of_another_package_gives_the_same(
     assert np.abs(run.force).max() > 0
 
 
-@pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
+@pytest.mark.parametrize(
+    'mode',
+    [
+        pytest.param((), id='processes', marks=pytest.mark.long),
+        pytest.param(('--composed',), id='composed'),
+    ],
+)
 def test_estimates_are_the_same(domain, tmp_path, assert_repeats, in_process, mode):
     """Though DDS keeps no order between forces and configurations; for another mass as well."""
     arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--mass', '122', *mode]
@@ -168,6 +173,7 @@ def test_a_reset_begins_anew(domain, observer, plan, in_process):
             np.testing.assert_array_equal(found, getattr(expected, name)[:40])
 
 
+@pytest.mark.long
 def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats, in_process):
     executors = [f'--set={kind}.executor=single_threaded' for kind in (*LOOP, 'recorder')]
     output_folder = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
@@ -198,7 +204,8 @@ def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, 
     assert_repeats(made.bag)
 
 
-@pytest.mark.parametrize('late', ['encoder', pytest.param('controller', marks=pytest.mark.long)])
+@pytest.mark.long  # one that is killed and comes late again is in every run
+@pytest.mark.parametrize('late', ['encoder', 'controller'])
 def test_a_late_node_catches_up(domain, observer, plan, assert_repeats, late):
     readers = ['recorder', 'observer']
     made = plan(simulator={'expected_subscribers': readers, 'resend_interval': 0.05})
