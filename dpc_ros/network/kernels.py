@@ -19,7 +19,7 @@ class NetworkArrays(NamedTuple):
     stiffness: np.ndarray  # (springs,) [N/m]
     rest_length: np.ndarray  # (springs,) [m]
     damping: np.ndarray  # (springs,) [N s/m]
-    background_vector: np.ndarray  # (springs, 2) c d⁰ [m]
+    background_vector: np.ndarray  # (2, springs) c d⁰ [m]
     background_stiffness: float  # k_s [N/m]
     mobile_mass: np.ndarray  # (mobile,) [kg]
     fixed_position: np.ndarray  # (fixed, 2) [m]
@@ -51,8 +51,8 @@ def elastic_energy(network, configuration):
         dx = position[a, 0] - position[b, 0]
         dy = position[a, 1] - position[b, 1]
         stretch = np.sqrt(dx * dx + dy * dy) - network.rest_length[j]
-        bx = dx - network.background_vector[j, 0]
-        by = dy - network.background_vector[j, 1]
+        bx = dx - network.background_vector[0, j]
+        by = dy - network.background_vector[1, j]
         energy += 0.5 * network.stiffness[j] * stretch * stretch
         energy += 0.5 * network.background_stiffness * (bx * bx + by * by)
     return energy
@@ -107,8 +107,8 @@ def _spring_gradient(network, j, dx, dy):
     pull = 0.0
     if length > 0.0:
         pull = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
-    fx = pull * dx + network.background_stiffness * (dx - network.background_vector[j, 0])
-    fy = pull * dy + network.background_stiffness * (dy - network.background_vector[j, 1])
+    fx = pull * dx + network.background_stiffness * (dx - network.background_vector[0, j])
+    fy = pull * dy + network.background_stiffness * (dy - network.background_vector[1, j])
     return fx, fy
 
 
@@ -221,49 +221,124 @@ def damping_matrix(network, configuration):
     return matrix
 
 
+class Workspace(NamedTuple):
+    """What one evaluation of the acceleration fills; made once for many."""
+
+    state: np.ndarray  # (masses, 4), place [m] and velocity [m/s] of each
+    force: np.ndarray  # (masses, 2) [N]
+    ends: np.ndarray  # (4, springs), d of each [m] and its rate [m/s]
+    stretch: np.ndarray  # (springs,) force by d [N/m]
+    pull: np.ndarray  # (2, springs), force of each on its second end [N]
+
+
+@njit(cache=True)
+def workspace(network):
+    """Return a workspace for a network."""
+    mobile = network.mobile_mass.shape[0]
+    masses = mobile + network.fixed_position.shape[0]
+    springs = network.first.shape[0]
+    state = np.zeros((masses, 4))
+    state[mobile:, :2] = network.fixed_position
+    return Workspace(
+        state,
+        np.zeros((masses, 2)),
+        np.empty((4, springs)),
+        np.empty(springs),
+        np.empty((2, springs)),
+    )
+
+
+@njit(cache=True, error_model='numpy')
+def accelerate(network, gravity, configuration, velocity, force, work, result):
+    """Fill `result` (n,) with q̈ = M⁻¹(−∇V(q) − C(q) q̇ + f) [m/s²]; f is the force (n,) [N].
+
+    What goes by spring is gathered first, so that the arithmetic runs over whole arrays.
+    """
+    mobile = network.mobile_mass.shape[0]
+    for i in range(mobile):
+        for axis in range(2):
+            work.state[i, axis] = configuration[2 * i + axis]
+            work.state[i, 2 + axis] = velocity[2 * i + axis]
+            work.force[i, axis] = force[2 * i + axis]
+    for j in range(network.first.shape[0]):
+        # Unsigned, so that no index has to be looked at for counting from the end.
+        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
+        for part in range(4):
+            work.ends[part, j] = work.state[a, part] - work.state[b, part]
+    _pull(network, work.ends[:2], work.ends[2:], work.stretch, work.pull)
+    for j in range(network.first.shape[0]):
+        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
+        for axis in range(2):
+            work.force[a, axis] -= work.pull[axis, j]
+            work.force[b, axis] += work.pull[axis, j]
+    for i in range(mobile):
+        mass = network.mobile_mass[i]
+        result[2 * i] = work.force[i, 0] / mass + gravity[0]
+        result[2 * i + 1] = work.force[i, 1] / mass + gravity[1]
+
+
+@njit(cache=True, error_model='numpy')
+def _pull(network, d, rate, stretch, pull):
+    """Fill `pull` (2, springs) with the force of each spring [N], from d and its rate.
+
+    Each loop reads and writes few arrays, or the compiler would not run it in parallel lanes.
+    """
+    springs = network.first.shape[0]
+    for j in range(springs):
+        length = np.sqrt(d[0, j] * d[0, j] + d[1, j] * d[1, j])
+        elastic = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
+        stretch[j] = elastic if length > 0.0 else 0.0
+    for axis in range(2):
+        for j in range(springs):
+            background = d[axis, j] - network.background_vector[axis, j]
+            pull[axis, j] = stretch[j] * d[axis, j] + network.background_stiffness * background
+    if network.axial:
+        for j in range(springs):
+            square = d[0, j] * d[0, j] + d[1, j] * d[1, j]
+            along = network.damping[j] * (d[0, j] * rate[0, j] + d[1, j] * rate[1, j]) / square
+            stretch[j] = along if square > 0.0 else 0.0
+        for axis in range(2):
+            for j in range(springs):
+                pull[axis, j] += stretch[j] * d[axis, j]
+    else:
+        for axis in range(2):
+            for j in range(springs):
+                pull[axis, j] += network.damping[j] * rate[axis, j]
+
+
 @njit(cache=True)
 def acceleration(network, gravity, configuration, velocity, force):
     """q̈ = M⁻¹(−∇V(q) − C(q) q̇ + f), (n,) [m/s²], with f the external force (n,) [N]."""
-    position = place(network, configuration)
-    mobile = network.mobile_mass.shape[0]
-    total = force.copy()
-    for j in range(network.first.shape[0]):
-        a, b = network.first[j], network.second[j]
-        dx = position[a, 0] - position[b, 0]
-        dy = position[a, 1] - position[b, 1]
-        fx, fy = _spring_gradient(network, j, dx, dy)
-        wx, wy = _relative_velocity(velocity, mobile, a, b)
-        ex, ey = _damper_force(network, j, dx, dy, wx, wy)
-        fx += ex
-        fy += ey
-        if a < mobile:
-            total[2 * a] -= fx
-            total[2 * a + 1] -= fy
-        if b < mobile:
-            total[2 * b] += fx
-            total[2 * b + 1] += fy
-    for i in range(mobile):
-        total[2 * i] = total[2 * i] / network.mobile_mass[i] + gravity[0]
-        total[2 * i + 1] = total[2 * i + 1] / network.mobile_mass[i] + gravity[1]
-    return total
+    result = np.empty_like(configuration)
+    accelerate(network, gravity, configuration, velocity, force, workspace(network), result)
+    return result
 
 
 @njit(cache=True)
 def rk4_step(network, gravity, configuration, velocity, force, step):
     """Classical Runge–Kutta step of order four, the force held over it."""
+    work = workspace(network)
     half = 0.5 * step
-    a1 = acceleration(network, gravity, configuration, velocity, force)
-    v2 = velocity + half * a1
-    a2 = acceleration(network, gravity, configuration + half * velocity, v2, force)
-    v3 = velocity + half * a2
-    a3 = acceleration(network, gravity, configuration + half * v2, v3, force)
-    v4 = velocity + step * a3
-    a4 = acceleration(network, gravity, configuration + step * v3, v4, force)
     sixth = step / 6.0
-    return (
-        configuration + sixth * (velocity + 2.0 * v2 + 2.0 * v3 + v4),
-        velocity + sixth * (a1 + 2.0 * a2 + 2.0 * a3 + a4),
-    )
+    n = configuration.shape[0]
+    q, v, a = np.empty(n), np.empty(n), np.empty(n)  # of a stage
+    slope, rise = np.empty(n), np.empty(n)  # sums of q̇ and q̈ over the stages
+    accelerate(network, gravity, configuration, velocity, force, work, a)
+    for i in range(n):
+        slope[i], rise[i] = velocity[i], a[i]
+        q[i], v[i] = configuration[i] + half * velocity[i], velocity[i] + half * a[i]
+    for length in (half, step):
+        accelerate(network, gravity, q, v, force, work, a)
+        for i in range(n):
+            slope[i] += 2.0 * v[i]
+            rise[i] += 2.0 * a[i]
+            q[i] = configuration[i] + length * v[i]
+            v[i] = velocity[i] + length * a[i]
+    accelerate(network, gravity, q, v, force, work, a)
+    for i in range(n):
+        q[i] = configuration[i] + sixth * (slope[i] + v[i])
+        v[i] = velocity[i] + sixth * (rise[i] + a[i])
+    return q, v
 
 
 @njit(cache=True)

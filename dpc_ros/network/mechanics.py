@@ -65,13 +65,14 @@ class Mechanics:
         place[order] = np.arange(len(order))
         first, second = network.springs.T
         rest_vector = network.rest_position[first] - network.rest_position[second]
+        background = network.background_rest_fraction * rest_vector.T
         self.arrays = kernels.NetworkArrays(
             first=place[first],
             second=place[second],
             stiffness=network.stiffness,
             rest_length=network.rest_length,
             damping=network.damping,
-            background_vector=network.background_rest_fraction * rest_vector,
+            background_vector=np.ascontiguousarray(background),
             background_stiffness=float(network.background_stiffness),
             mobile_mass=network.mass[network.mobile],
             fixed_position=network.rest_position[network.fixed],

@@ -33,7 +33,7 @@ class TorchSystem:
         self.stiffness = torch.tensor(arrays.stiffness)
         self.rest_length = torch.tensor(arrays.rest_length)
         self.damping = torch.tensor(arrays.damping)[:, None]
-        self.background = torch.tensor(arrays.background_vector)
+        self.background = torch.tensor(arrays.background_vector.T)
         self.background_stiffness = arrays.background_stiffness
 
     def decode(self, latent):
