@@ -1,8 +1,9 @@
-"""The latent right-hand side ξ̈ of a dense decoder: ours compiled beside torch's autograd.
+"""The derivatives of a dense autoencoder, and the latent right-hand side ξ̈, beside torch's autograd.
 
-The peer is what a user writes with torch.func in double precision: decoder, Jacobian by forward
-mode, J̇ξ̇ as a jvp of a jvp, the body's forces by torch, a solve. Decoders: the paper's sizes
-5-100-200-300-400 with random weights, and the shipped one of ours.
+The peers are what a user writes with torch.func in double precision: encoder and ξ̇ by a jvp,
+decoder and Jacobian by forward mode, J̇ξ̇ as a jvp of a jvp, or by a product with the Hessian of
+each output, the body's forces by torch, a solve. Autoencoders: the paper's sizes 400-300-200-100-5
+with random weights, and the shipped one of ours.
 """
 
 import numpy as np
@@ -36,15 +37,41 @@ class TorchSystem:
         self.background = torch.tensor(arrays.background_vector.T)
         self.background_stiffness = arrays.background_stiffness
 
+    def encode(self, configuration):
+        return self.module.encode(configuration[None])[0]
+
     def decode(self, latent):
         return self.module.decode(latent[None])[0]
 
-    def acceleration(self, latent, velocity):
-        decoded = self.decode(latent)
-        jacobian = torch.func.jacfwd(self.decode)(latent)
-        moved = torch.func.jvp(
+    def encode_with_velocity(self, configuration, velocity):
+        return torch.func.jvp(self.encode, (configuration,), (velocity,))
+
+    def decode_with_jacobian(self, latent):
+        def twice(xi):
+            decoded = self.decode(xi)
+            return decoded, decoded
+
+        jacobian, decoded = torch.func.jacfwd(twice, has_aux=True)(latent)
+        return decoded, jacobian
+
+    def bend(self, latent, velocity):
+        """Return J̇ξ̇ as the second derivative along ξ̇."""
+        return torch.func.jvp(
             lambda xi: torch.func.jvp(self.decode, (xi,), (velocity,))[1], (latent,), (velocity,)
         )[1]
+
+    def bend_by_output(self, latent, velocity):
+        """Return J̇ξ̇ as ξ̇ᵀH_iξ̇ with the Hessian H_i of one output after the other."""
+
+        def product(output):
+            gradient = torch.func.grad(lambda xi: self.decode(xi)[output])
+            return velocity @ torch.func.jvp(gradient, (latent,), (velocity,))[1]
+
+        return torch.stack([product(output) for output in range(len(self.mass))])
+
+    def acceleration(self, latent, velocity, bend=None):
+        decoded, jacobian = self.decode_with_jacobian(latent)
+        moved = (bend or self.bend)(latent, velocity)
         difference = self.body_acceleration(decoded, jacobian @ velocity) - moved
         weighted = self.mass[:, None] * jacobian
         return torch.linalg.solve(jacobian.T @ weighted, weighted.T @ difference)
@@ -63,7 +90,7 @@ class TorchSystem:
 
 
 def measure():
-    """Return a row for each decoder."""
+    """Return the rows of each autoencoder."""
     torch.set_num_threads(1)
     mechanics = Mechanics(load_network('paper_2'), Gravity(9.81))
     torch.manual_seed(0)
@@ -72,22 +99,48 @@ def measure():
     checkpoint = load_checkpoint('paper_2_extended_m5')
     shipped = FlatModule(checkpoint.architecture)
     shipped.load_state_dict({k: torch.from_numpy(v) for k, v in checkpoint.tensors.items()})
+    return [*_rows('paper', mechanics, random), *_rows('ours', mechanics, shipped)]
+
+
+def _rows(name, mechanics, module):
+    peer = TorchSystem(mechanics, module)
+    autoencoder = module.export()
+    system = CompressedSystem(mechanics, autoencoder, 162)
+    rng = np.random.default_rng(0)
+    latent = rng.normal(size=(2, 5))
+    full = mechanics.network.rest_configuration, rng.normal(size=400)
+    latent_there, full_there = (
+        [torch.from_numpy(each) for each in pair] for pair in (latent, full)
+    )
+    ways = {
+        'encode_with_velocity': (
+            lambda: autoencoder.encoder_jacobian_vector_product(*full),
+            {'torch.func.jvp': lambda: peer.encode_with_velocity(*full_there)},
+        ),
+        'decode_with_jacobian': (
+            lambda: autoencoder.decode_with_jacobian(latent[0]),
+            {'torch.func.jacfwd': lambda: peer.decode_with_jacobian(latent_there[0])},
+        ),
+        'latent_acceleration': (
+            lambda: system.acceleration(*latent),
+            {
+                'torch.func': lambda: peer.acceleration(*latent_there),
+                'a Hessian product per output': lambda: peer.acceleration(
+                    *latent_there, peer.bend_by_output
+                ),
+            },
+        ),
+    }
     rows = []
-    for name, module in (('paper', random), ('ours', shipped)):
-        peer = TorchSystem(mechanics, module)
-        system = CompressedSystem(mechanics, module.export(), 162)
-        latent, velocity = np.random.default_rng(0).normal(size=(2, 5))
-        latent_tensor, velocity_tensor = torch.from_numpy(latent), torch.from_numpy(velocity)
-        np.testing.assert_allclose(
-            system.acceleration(latent, velocity),
-            peer.acceleration(latent_tensor, velocity_tensor),
-            rtol=1e-8,
-        )
-        medians = side_by_side(
-            lambda system=system, state=(latent, velocity): system.acceleration(*state),
-            lambda peer=peer, state=(latent_tensor, velocity_tensor): peer.acceleration(*state),
-            REPETITIONS,
-            CALLS,
-        )
-        rows.append(row(f'latent_acceleration_{name}', 'torch.func', *medians))
+    for what, (ours, peers) in ways.items():
+        for their_name, theirs in peers.items():
+            slow = 'per output' in their_name
+            for found, expected in zip(_arrays(ours()), _arrays(theirs()), strict=True):
+                np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
+            medians = side_by_side(ours, theirs, *((3, 1) if slow else (REPETITIONS, CALLS)))
+            rows.append(row(f'{what}_{name}', their_name, *medians))
     return rows
+
+
+def _arrays(result):
+    return result if isinstance(result, tuple) else (result,)
