@@ -1,4 +1,4 @@
-"""The derivatives of a dense autoencoder, and the latent right-hand side ξ̈, beside torch's autograd.
+"""Derivatives of a dense autoencoder and the latent right-hand side ξ̈, beside torch's autograd.
 
 The peers are what a user writes with torch.func in double precision: encoder and ξ̇ by a jvp,
 decoder and Jacobian by forward mode, J̇ξ̇ as a jvp of a jvp, or by a product with the Hessian of
