@@ -5,7 +5,7 @@
 #   make test WORKERS=                  one test at a time, its output as it comes with ARGS=-s
 #   make demo PYTHON=python3.12         another Python, 3.10 to 3.13
 #   make test ROS=kilted                another distribution of ROS 2, in .venv-kilted
-#   make test ROS=kilted UPON=.venv     the same, but what is not of ROS comes from .venv
+#   make venv ROS=kilted UPON=.venv     the same, but what is not of ROS comes from .venv
 #   make demo TORCH_INDEX=https://download.pytorch.org/whl/cu130   another build of torch
 
 ROS ?= jazzy
@@ -42,9 +42,17 @@ TEST_EXTRAS := [test]
 endif
 endif
 
+# Only ROS and this package are installed upon another environment, in which pip sees another ROS.
+ifneq ($(UPON),)
+$(if $(filter $(abspath $(UPON)),$(abspath $(VENV))),$(error UPON: expected another one than $(VENV)))
+$(if $(wildcard $(UPON)/bin/python),,$(error UPON: there is no environment in $(UPON)))
+PYTHON := $(UPON)/bin/python
+UPON_OPTIONS := --no-warn-conflicts
+endif
+
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
-INSTALL := $(PIP_INSTALL) $(if $(UPON),--no-warn-conflicts) --use-pep517 --no-build-isolation --editable
+INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation --editable
 
 .PHONY: help demo test test-long venv clean
 .DEFAULT_GOAL := help
@@ -60,13 +68,13 @@ demo: $(VENV)/demo.stamp
 	$(BIN)/launcher --config config/demo.yaml $(ARGS)
 
 test: $(VENV)/test.stamp
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/pytest $(WORKERS) $(ARGS)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 test-long: $(VENV)/test.stamp
-	$(BIN)/pytest -m 'long or faults' --repetitions 50 \
+	$(BIN)/python -m pytest -m 'long or faults' --repetitions 50 \
 		--fault-results docs/results/faults.json $(ARGS)
 	$(BIN)/dpc paper tables
 
@@ -96,8 +104,8 @@ ifeq ($(UPON),)
 	@$(PIP_INSTALL) --no-deps --retries 0 --extra-index-url $(TORCH_INDEX) torch || true
 else
 	@echo 'Installing ROS 2 $(ROS) upon $(UPON) …'
-	@for packages in $(VENV)/lib/python3*/site-packages; do \
-		ls -d '$(CURDIR)/$(UPON)'/lib/python3*/site-packages >"$$packages/upon.pth"; done
+	@ls -d $(abspath $(UPON))/lib/python3*/site-packages >$(VENV)/upon.pth
+	@mv $(VENV)/upon.pth $(VENV)/lib/python3*/site-packages/
 	@$(PIP_INSTALL) --no-deps --ignore-installed -r constraints-$(ROS).txt
 endif
 	@touch $@

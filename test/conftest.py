@@ -124,11 +124,11 @@ def pytest_runtest_makereport(item, call):
 def pytest_sessionfinish(session, exitstatus):
     path, rows = session.config.getoption('--fault-results'), session.config.stash[_PROMISES]
     if path and exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        run_again = {row['test'] for row in rows.values()}
+        run_again = {item.name for item in session.items}
         known = [
             row
             for row in (read_results(path) if path.exists() else [])
-            if row['promise'] or row['test'] not in run_again  # it has none where it failed
+            if row['promise'] or row['fault'] not in run_again  # a test that failed
         ]
         commit = {'commit': source_commit()}
         found = {key: row | commit for key, row in rows.items()}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from dpc_ros.control.solver import Answer, Question, Solver
+from dpc_ros.control.solver import MEANWHILE_PERIOD, Answer, Question, Solver
 
 _TRIES = 2  # processes that a question is given to before it is taken for one that ends them
 _END_TIMEOUT = 1.0  # s for the process to end by itself
@@ -23,6 +23,7 @@ class BackgroundSolver(Solver):
 
     Args:
         parameters: of the controller node, by name.
+        meanwhile: is called each second while `wait` waits: to say that it does.
 
     Raises:
         OSError: the process can't be started.
@@ -30,8 +31,11 @@ class BackgroundSolver(Solver):
 
     is_here = False
 
-    def __init__(self, parameters: Mapping[str, Any]) -> None:
+    def __init__(
+        self, parameters: Mapping[str, Any], meanwhile: Callable[[], None] | None = None
+    ) -> None:
         self._parameters = dict(parameters)
+        self._meanwhile = meanwhile
         self._question: Question | None = None
         self._tries = 0
         self._start()
@@ -41,16 +45,15 @@ class BackgroundSolver(Solver):
         self._send()
 
     def answer(self) -> Answer | None:
-        try:
-            has_come = self._connection.poll()
-        except OSError:  # it is closed, as no other process could be started
-            has_come = True
-        return self._receive() if has_come else None
+        return self._receive() if self._has_come() else None
 
     def wait(self) -> Answer:
-        while (answer := self._receive()) is None:
-            pass
-        return answer
+        while True:
+            while self._meanwhile is not None and not self._has_come(MEANWHILE_PERIOD):
+                self._meanwhile()
+            answer = self._receive()
+            if answer is not None:
+                return answer
 
     def close(self) -> None:
         self._connection.close()
@@ -78,6 +81,12 @@ class BackgroundSolver(Solver):
                 self.close()
                 self._start()
             self._connection.send(self._question)
+
+    def _has_come(self, timeout: float = 0.0) -> bool:
+        try:
+            return self._connection.poll(timeout)
+        except OSError:  # it is closed, as no other process could be started
+            return True
 
     def _receive(self) -> Answer | None:
         """Return the answer; None where the process ended, and another one has the question now."""

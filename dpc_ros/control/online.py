@@ -108,7 +108,7 @@ class OnlineController:
     Args:
         parameters: of the controller node, by name.
         solver: who solves; this process where left out.
-        meanwhile: is called each second while this process solves.
+        meanwhile: is called each second while this process solves, where no solver is given.
 
     Attributes:
         law: the control law in force.

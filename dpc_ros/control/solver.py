@@ -15,7 +15,7 @@ from dpc_ros.control.registry import law_of_parameters
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 
-_MEANWHILE_PERIOD = 1.0  # s
+MEANWHILE_PERIOD = 1.0  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class SolverHere(Solver):
             return self._solve()
         with futures.ThreadPoolExecutor(max_workers=1) as thread:
             answer = thread.submit(self._solve)
-            while futures.wait([answer], timeout=_MEANWHILE_PERIOD).not_done:
+            while futures.wait([answer], timeout=MEANWHILE_PERIOD).not_done:
                 self._meanwhile()
             return answer.result()
 

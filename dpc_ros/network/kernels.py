@@ -227,7 +227,7 @@ class Workspace(NamedTuple):
     state: np.ndarray  # (masses, 4), place [m] and velocity [m/s] of each
     force: np.ndarray  # (masses, 2) [N]
     ends: np.ndarray  # (4, springs), d of each [m] and its rate [m/s]
-    stretch: np.ndarray  # (springs,) force by d [N/m]
+    force_density: np.ndarray  # (springs,) force by length [N/m]
     pull: np.ndarray  # (2, springs), force of each on its second end [N]
 
 
@@ -265,7 +265,7 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
         a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
         for part in range(4):
             work.ends[part, j] = work.state[a, part] - work.state[b, part]
-    _pull(network, work.ends[:2], work.ends[2:], work.stretch, work.pull)
+    _pull(network, work.ends[:2], work.ends[2:], work.force_density, work.pull)
     for j in range(network.first.shape[0]):
         a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
         for axis in range(2):
@@ -278,7 +278,7 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
 
 
 @njit(cache=True, error_model='numpy')
-def _pull(network, d, rate, stretch, pull):
+def _pull(network, d, rate, force_density, pull):
     """Fill `pull` (2, springs) with the force of each spring [N], from d and its rate.
 
     Each loop reads and writes few arrays, or the compiler would not run it in parallel lanes.
@@ -287,19 +287,20 @@ def _pull(network, d, rate, stretch, pull):
     for j in range(springs):
         length = np.sqrt(d[0, j] * d[0, j] + d[1, j] * d[1, j])
         elastic = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
-        stretch[j] = elastic if length > 0.0 else 0.0
+        force_density[j] = elastic if length > 0.0 else 0.0
     for axis in range(2):
         for j in range(springs):
-            background = d[axis, j] - network.background_vector[axis, j]
-            pull[axis, j] = stretch[j] * d[axis, j] + network.background_stiffness * background
+            moved = d[axis, j] - network.background_vector[axis, j]
+            pull[axis, j] = force_density[j] * d[axis, j] + network.background_stiffness * moved
     if network.axial:
         for j in range(springs):
             square = d[0, j] * d[0, j] + d[1, j] * d[1, j]
-            along = network.damping[j] * (d[0, j] * rate[0, j] + d[1, j] * rate[1, j]) / square
-            stretch[j] = along if square > 0.0 else 0.0
+            fx, fy = network.damping[j] * rate[0, j], network.damping[j] * rate[1, j]
+            along = (d[0, j] * fx + d[1, j] * fy) / square
+            force_density[j] = along if square > 0.0 else 0.0
         for axis in range(2):
             for j in range(springs):
-                pull[axis, j] += stretch[j] * d[axis, j]
+                pull[axis, j] += force_density[j] * d[axis, j]
     else:
         for axis in range(2):
             for j in range(springs):

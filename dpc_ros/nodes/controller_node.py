@@ -55,7 +55,9 @@ class ControllerNode(LoopNode):
 
     def configure(self) -> None:
         settings = self.settings
-        self._solver = BackgroundSolver(settings) if settings['solve_in_background'] else None
+        self._solver = (
+            BackgroundSolver(settings, self.report) if settings['solve_in_background'] else None
+        )
         self._controller = OnlineController(settings, self._solver, self.report)
         self._network = self._controller.network
         self._identifier = self._controller.checkpoint.identifier

@@ -411,6 +411,7 @@ class LoopNode(LifecycleNode):
         self._matched = False
 
     def report(self) -> None:
+        """Publish the node's health; who blocks for long calls this now and then."""
         _, state = self._state_machine.current_state
         status = self.health.report(
             self.get_name(), self.get_fully_qualified_name(), state, self.failure

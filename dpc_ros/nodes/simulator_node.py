@@ -72,11 +72,10 @@ class SimulatorNode(LoopNode):
         self._realtime = settings['time_mode'] == 'realtime'
         self._step = 0
         self._leapt = 0  # steps left out of the stamps
-        self._reset_at = 0  # stamp of the first state since the last reset [ns]
         self._answered = False  # the present state has been, by a force with its stamp
         self._running = False  # a first force has come
         self._paused = False
-        self._answer_stamp = -1  # of the newest force that was taken [ns]
+        self._answer_stamp = -1  # of the newest force that was taken, or of the reset [ns]
         self._controllers = Controllers(settings['controller_timeout'])
         self._patience = Patience(settings['resend_interval'])
         self._refusal = ''  # why the last force was rejected, where none was taken since
@@ -180,7 +179,7 @@ class SimulatorNode(LoopNode):
         In realtime a second one for the newest state may take back the first.
         """
         if self._realtime:
-            return stamp < max(self._answer_stamp, self._reset_at)
+            return stamp < self._answer_stamp
         return stamp != self._awaited or self._answered
 
     def _check_strength(self, force: np.ndarray, limit: float) -> None:
@@ -228,8 +227,8 @@ class SimulatorNode(LoopNode):
     def _let_go_if_stale(self) -> None:
         limit = self.settings['force_timeout']
         # It may have been long on its way: the state that it answers tells, in ticks.
-        age = (self._awaited - self._answer_stamp) / self.settings['real_time_factor']
-        is_stale = age > limit * NANOSECONDS or self.steady_time() - self._answered_at > limit
+        age_ns = (self._awaited - self._answer_stamp) / self.settings['real_time_factor']
+        is_stale = age_ns > limit * NANOSECONDS or self.steady_time() - self._answered_at > limit
         if is_stale:
             self.say(f'control_force is stale, using {self.settings["stale_force"]}', problem=True)
             if self.settings['stale_force'] == 'zero':
@@ -351,7 +350,7 @@ class SimulatorNode(LoopNode):
         self._let_go()
         self._pushes.clear()
         self._leapt += math.ceil(_RESET_LEAP * NANOSECONDS / self._step_ns)  # stamps rise for ever
-        self._reset_at = self._awaited
+        self._answer_stamp = self._awaited  # all before is passed
         self._answered = False
         self._begin_waiting()
         if self.active:

@@ -160,7 +160,7 @@ def test_another_process_gives_the_same_bits(solver):
 
 
 def test_who_waits_for_an_answer_here_can_say_so_meanwhile(monkeypatch):
-    monkeypatch.setattr(solver_module, '_MEANWHILE_PERIOD', 0.001)
+    monkeypatch.setattr(solver_module, 'MEANWHILE_PERIOD', 0.001)
     looked = Event()
 
     def solve(law, target):

@@ -299,7 +299,8 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     controller.step_until(lambda: solved.read_text().split()[-1] == str(TARGETS), 'the last one')
     numbers = [int(each) for each in solved.read_text().split()]
     newest = numbers[numbers.index(1) + 1 :]
-    assert len(newest) <= 2, newest  # a few may have been on their way when the gate was opened
+    assert len(newest) < 10, newest  # some may have been on their way when the gate was opened
+    assert newest == sorted(newest)
     brought = [-1, 1, *newest]
     controller.step_until(lambda: len(controller.in_force) == len(brought), 'the targets in force')
     assert [each.position[0] for each in controller.in_force] == brought

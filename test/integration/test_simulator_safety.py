@@ -243,9 +243,13 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     witness.set_parameters('simulator', real_time_factor=0.5, stale_force='zero', force_timeout=0.1)
     wait_until_acts(0.0)  # let go at once, whatever the rate
     assert changes()[-2:] == [2.0, 0.0]
+    witness.set_parameters('simulator', force_timeout=1.0)  # a hundred ticks
     free = witness.stamp
-    observer.wait(lambda: witness.stamp > free + 40 * STEP, 'steps without a force')
-    witness.push([1.5, 0.0], 'bbbb', stamp=witness.stamp - 20 * STEP)  # was long on its way
+    observer.wait(lambda: witness.stamp > free + 200 * STEP, 'steps without a force')
+    witness.push([1.5, 0.0], 'bbbb', stamp=witness.stamp - 150 * STEP)  # was long on its way
+    sent = witness.stamp
+    observer.wait(lambda: witness.stamp > sent + 50 * STEP, 'steps that it could act in')
+    assert changes()[-1] == 0.0
     witness.push([0.5, 0.0], 'bbbb')
     wait_until_acts(0.5)
     wait_until_acts(0.0)
@@ -273,6 +277,7 @@ def test_the_force_that_acts_in_realtime(domain, observer, witness, plan):
     after = [force for force, _ in itertools.groupby(judge()[leap + 1 :])]
     assert after[:2] == [0.0, 0.5]
     pause(True)
+    witness.set_parameters('simulator', force_timeout=0.1)
     paused = time.monotonic()
     observer.wait(lambda: time.monotonic() > paused + 0.2, 'the force to become stale')
     begin = len(judge())

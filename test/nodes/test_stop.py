@@ -17,7 +17,9 @@ def hang_up():
 
 
 @pytest.mark.parametrize(
-    ('handler', 'stops'), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)], ids=['', 'nohup']
+    ('handler', 'stops'),
+    [(signal.SIG_DFL, True), (signal.SIG_IGN, False)],
+    ids=['terminal', 'nohup'],
 )
 def test_a_terminal_that_closes(hang_up, handler, stops):
     hang_up(handler)
