@@ -37,17 +37,23 @@ def assert_repeats_states(in_process):
 
 
 def freedom(loop, moved_by, since):
-    """Wait until the body moves freely; return when [s], and for how many steps it was forced."""
+    """Wait until the body moves freely; return when [s], and for how many steps it was forced.
+
+    Those of the last force that has come: it may have been late, and the body free before it.
+    """
     nothing = np.zeros(2)
-    loop.observer.wait(
-        lambda: loop.states[-1].sent > since and moved_by(nothing, *loop.states[-2:]),
-        'a step without force',
-    )
-    last = next(each for each in reversed(loop.forces) if each.force.any())
-    steps = [*pairwise(state for state in loop.states if state.sent >= last.sent)]
-    forced = [*takewhile(lambda step: not moved_by(nothing, *step), steps)]
-    _, free = steps[len(forced)]
-    return free.sent, len(forced)
+    found = []
+
+    def is_free():
+        last = next(each for each in reversed(loop.forces) if each.force.any())
+        states = [*takewhile(lambda state: state.sent >= last.sent, reversed(loop.states))]
+        steps = [*pairwise(reversed(states))]
+        forced = [*takewhile(lambda step: not moved_by(nothing, *step), steps)]
+        found[:] = [(after.sent, len(forced)) for _, after in steps[len(forced) :][:1]]
+        return found and loop.states[-1].sent > since
+
+    loop.observer.wait(is_free, 'a step without force')
+    return found[0]
 
 
 @pytest.mark.parametrize('kind', ['encoder', pytest.param('controller', marks=LONG)])
