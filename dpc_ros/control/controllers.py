@@ -2,20 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from jaxtyping import Float
-
 _MOST = 8  # controllers that are remembered; whoever makes up ids can't fill the memory
-
-
-class _Heard(NamedTuple):
-    """When a controller was heard last [s], and its first answer to the newest stamp [ns]."""
-
-    time: float
-    stamp: int
-    force: np.ndarray
 
 
 class Controllers:
@@ -31,26 +18,18 @@ class Controllers:
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout
-        self._heard: dict[str, _Heard] = {}  # the one silent for longest first
+        self._heard: dict[str, float] = {}  # when [s]; the one silent for longest first
 
-    def hear(
-        self, identifier: str, stamp: int, force: Float[np.ndarray, ' 2'], now: float
-    ) -> Float[np.ndarray, ' 2']:
-        """Note that a force of a controller has come; return its first one of that stamp [ns].
-
-        Where time waits for the answer the first one is it, even if it could not be used when it
-        came: a controller that nobody asks any more lets go by a zero of the same stamp.
-        """
-        known = self._heard.pop(identifier, None)
-        first = known.force if known is not None and known.stamp == stamp else force
-        self._heard[identifier] = _Heard(now, stamp, first)
+    def hear(self, identifier: str, now: float) -> None:
+        """Note that a force of a controller has come."""
+        self._heard.pop(identifier, None)
+        self._heard[identifier] = now
         if len(self._heard) > _MOST:
             del self._heard[next(iter(self._heard))]
-        return first
 
     def rivals(self, now: float) -> tuple[str, ...]:
         """Return the ids of two controllers that live, in order; none while at most one does."""
-        living = [each for each, heard in self._heard.items() if now - heard.time <= self.timeout]
+        living = [each for each, heard in self._heard.items() if now - heard <= self.timeout]
         return tuple(sorted(living[-2:])) if len(living) > 1 else ()
 
     def conflict(self, now: float) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
 from rclpy.parameter import Parameter
@@ -169,7 +168,7 @@ class ControllerNode(LoopNode):
                 force = np.zeros(2)
             else:
                 self.health.saturated += self._controller.law.saturated
-            answer = self._force(message.header.stamp, force)
+            answer = force_message(message.header.stamp, self._mass, force, self._own_identifier)
             self._answers.remember(stamp, message, answer)
             if self._watchdog is not None:
                 self._watchdog.reset()
@@ -179,17 +178,23 @@ class ControllerNode(LoopNode):
         self.publish(self._control_force, answer)
         self.health.processed(time.perf_counter() - begin)
 
-    def _force(self, stamp: Time, force: np.ndarray) -> WrenchStamped:
-        return force_message(stamp, self._mass, force, self._own_identifier)
-
     def _fall_silent(self) -> None:
-        """Command zero force, which answers the newest state again; silent until the next one."""
+        """Let go of the body; silent until the next state."""
         assert self._watchdog is not None
         self._watchdog.cancel()
         if not self.active:
             return
         _, answer = self._answers.newest
-        self.publish(self._control_force, self._force(answer.header.stamp, np.zeros(2)))
+        self.publish(
+            self._control_force,
+            force_message(
+                answer.header.stamp,
+                self._mass,
+                np.zeros(2),
+                self._own_identifier,
+                is_release=True,
+            ),
+        )
         self.health.watchdog = _NO_LATENT_STATE
         self.say(_NO_LATENT_STATE, problem=True)
 

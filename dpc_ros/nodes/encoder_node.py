@@ -20,7 +20,6 @@ from dpc_ros.nodes.messages import (
     MessageError,
     from_stamp,
     latent_names,
-    read_controller,
     read_force,
     read_stamp,
     read_state,
@@ -133,9 +132,9 @@ class EncoderNode(LoopNode):
         if newest < 0:
             return  # the answer to an encoder that was here before
         try:
-            mass, force = read_force(message)
-            if mass != self._mass:
-                raise MessageError(f'expected mass {self._mass}, got {mass}')
+            frame, force = read_force(message)
+            if frame.mass != self._mass:
+                raise MessageError(f'expected mass {self._mass}, got {frame.mass}')
             stamp = read_stamp(message.header.stamp)
             if self._answers.is_of_former_epoch(stamp):
                 self.health.repeated += 1
@@ -143,8 +142,10 @@ class EncoderNode(LoopNode):
             if stamp > newest:
                 raise MessageError('its stamp is that of no state so far')
             now = self.steady_time()
-            force = self._controllers.hear(read_controller(message), stamp, force, now)
+            self._controllers.hear(frame.controller, now)
             self._check_controllers(now)
+            if frame.is_release:
+                return
         except MessageError as error:
             self.reject('control_force', error)
             return

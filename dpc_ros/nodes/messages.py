@@ -14,7 +14,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
-from dpc_ros.bag.force_frame import force_frame, read_force_frame
+from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
 from dpc_ros.bag.reader import LATENT_PREFIX
 from dpc_ros.bag.topic import NANOSECONDS
 
@@ -95,45 +95,35 @@ def read_state(
 
 
 def force_message(
-    stamp: Time, mass: int, force: Float[np.ndarray, ' 2'], identifier: str = ''
+    stamp: Time,
+    mass: int,
+    force: Float[np.ndarray, ' 2'],
+    identifier: str = '',
+    is_release: bool = False,
 ) -> WrenchStamped:
     """Return a WrenchStamped of a planar force [N] on a mass, from the controller of that id."""
     message = WrenchStamped()
     message.header.stamp = stamp
-    message.header.frame_id = force_frame(mass, identifier)
+    message.header.frame_id = force_frame(mass, identifier, is_release)
     message.wrench.force.x = float(force[0])
     message.wrench.force.y = float(force[1])
     return message
 
 
-def read_force(message: WrenchStamped) -> tuple[int, Float[np.ndarray, ' 2']]:
-    """Return the mass that a WrenchStamped names and the planar force [N].
+def read_force(message: WrenchStamped) -> tuple[ForceFrame, Float[np.ndarray, ' 2']]:
+    """Return what the frame of a WrenchStamped says, and the planar force [N].
 
     Raises:
         MessageError: the frame names no mass, a value is not finite, or it leaves the plane.
     """
-    mass, _ = _read_force_frame(message)
+    try:
+        frame = read_force_frame(message.header.frame_id)
+    except ValueError as error:
+        raise MessageError(str(error)) from error
     force, torque = message.wrench.force, message.wrench.torque
     if force.z != 0 or torque.x != 0 or torque.y != 0 or torque.z != 0:
         raise MessageError('expected a force in the plane: its z and the torque must be zero')
-    return mass, finite(array('d', (force.x, force.y)), 2, 'force components')
-
-
-def read_controller(message: WrenchStamped) -> str:
-    """Return the id of the controller that a force comes from, '' where it does not say.
-
-    Raises:
-        MessageError: the frame is none of a force.
-    """
-    _, identifier = _read_force_frame(message)
-    return identifier
-
-
-def _read_force_frame(message: WrenchStamped) -> tuple[int, str]:
-    try:
-        return read_force_frame(message.header.frame_id)
-    except ValueError as error:
-        raise MessageError(str(error)) from error
+    return frame, finite(array('d', (force.x, force.y)), 2, 'force components')
 
 
 def is_latent(target: JointState) -> bool:

@@ -24,7 +24,6 @@ from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
-    read_controller,
     read_force,
     read_stamp,
     state_message,
@@ -138,17 +137,16 @@ class SimulatorNode(LoopNode):
         if not self.receive('control_force', info):
             return
         try:
-            mass, force = read_force(message)
-            if mass != self._body.actuated_mass:
-                raise MessageError(f'expected mass {self._body.actuated_mass}, got {mass}')
+            frame, force = read_force(message)
+            if frame.mass != self._body.actuated_mass:
+                raise MessageError(f'expected mass {self._body.actuated_mass}, got {frame.mass}')
             stamp = read_stamp(message.header.stamp)
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
             now = self.steady_time()
-            first = self._controllers.hear(read_controller(message), stamp, force, now)
-            force = force if self._realtime else first
+            self._controllers.hear(frame.controller, now)
             self._check_controllers(now)
-            if self._is_passed(stamp):
+            if self._is_passed(stamp) or (frame.is_release and not self._realtime):
                 self.health.repeated += 1
                 return
             self._check_strength(force, self.settings['control_force_limit'])
@@ -335,15 +333,15 @@ class SimulatorNode(LoopNode):
         if not self.receive('external_force', info):
             return
         try:
-            mass, force = read_force(message)
+            frame, force = read_force(message)
             read_stamp(message.header.stamp)
             self._check_strength(force, self.settings['force_limit'])
-            self._body.network.mobile_index(mass)
+            self._body.network.mobile_index(frame.mass)
         except ValueError as error:
             self.reject('external_force', MessageError(str(error)))
             return
         end = self._awaited + round(self.settings['external_force_timeout'] * NANOSECONDS)
-        self._pushes[mass] = (end, force)
+        self._pushes[frame.mass] = (end, force)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._body.reset()

@@ -1,13 +1,11 @@
 """Two controllers of one body are seen as long as both live, and no longer."""
 
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dpc_ros.control import Controllers
 
 TIMEOUT = 0.5  # s
-NOTHING = np.zeros(2)  # N
 
 
 @settings(max_examples=100)
@@ -19,7 +17,7 @@ def test_rivals_are_any_two_that_were_heard_of_late(forces, silence):
     controllers, heard, now = Controllers(TIMEOUT), {}, 0.0
     for identifier, pause in forces:
         now += pause
-        controllers.hear(identifier, 0, NOTHING, now)
+        controllers.hear(identifier, now)
         heard[identifier] = now
     now += silence
     living = {each for each, time in heard.items() if now - time <= TIMEOUT}
@@ -31,8 +29,8 @@ def test_rivals_are_any_two_that_were_heard_of_late(forces, silence):
 
 def test_a_controller_that_falls_silent_leaves_the_body_to_the_other():
     controllers = Controllers(TIMEOUT)
-    controllers.hear('1f3a9c02', 0, NOTHING, 0.0)
-    controllers.hear('', 0, NOTHING, 0.25)
+    controllers.hear('1f3a9c02', 0.0)
+    controllers.hear('', 0.25)
     assert controllers.conflict(0.5).endswith('those of one without an id and 1f3a9c02')
     assert controllers.conflict(0.6) == ''
     controllers.timeout = 1.0  # as set while it runs
@@ -42,15 +40,5 @@ def test_a_controller_that_falls_silent_leaves_the_body_to_the_other():
 def test_one_controller_is_never_a_conflict():
     controllers = Controllers(TIMEOUT)
     for k in range(100):
-        controllers.hear('1f3a9c02', k, NOTHING, 0.01 * k)
+        controllers.hear('1f3a9c02', 0.01 * k)
         assert controllers.rivals(0.01 * k) == ()
-
-
-def test_the_first_answer_of_a_controller_is_its_answer():
-    controllers = Controllers(TIMEOUT)
-    first, other, second = (np.array([value, 0.0]) for value in (1.0, 2.0, 3.0))
-    assert controllers.hear('a', 5, first, 0.0) is first
-    assert controllers.hear('b', 5, other, 0.1) is other
-    assert controllers.hear('a', 5, NOTHING, 0.2) is first
-    assert controllers.hear('a', 6, second, 0.3) is second
-    assert controllers.hear('b', 5, NOTHING, 0.4) is other

@@ -21,7 +21,6 @@ from dpc_ros.network import load_network
 from dpc_ros.nodes.messages import (
     from_stamp,
     latent_names,
-    read_controller,
     read_force,
     state_message,
     to_stamp,
@@ -176,6 +175,11 @@ class Controller:
         )
 
 
+def frame_of(message):
+    frame, _ = read_force(message)
+    return frame
+
+
 def force_of(message):
     _, force = read_force(message)
     return force.tolist()
@@ -283,7 +287,7 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     )
     controller.aim(-1.0, 2.0)
     controller.first_step()
-    identifier = read_controller(controller.forces[0])
+    identifier = frame_of(controller.forces[0]).controller
     assert len(identifier) == 8
     assert force_of(controller.step()) == [-1.0, 2.0]
 
@@ -333,10 +337,14 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     observer.wait(lambda: len(controller.forces) > count, 'the watchdog')
     assert from_stamp(controller.forces[-1].header.stamp) == controller.stamp
     assert force_of(controller.forces[-1]) == [0.0, 0.0]
+    assert frame_of(controller.forces[-1]).is_release
     controller.observer.wait(lambda: controller.reported('no new latent_state'), 'the report')
     assert force_of(controller.step()) == [-6.0, 2.0]
     assert len(controller.forces) == count + 2
-    assert {read_controller(each) for each in controller.forces} == {identifier}
+    frames = [frame_of(each) for each in controller.forces]
+    assert {frame.controller for frame in frames} == {identifier}
+    assert [frame.is_release for frame in frames].count(True) >= 1
+    assert not frames[-1].is_release
 
     (solver,) = children(controller.process)
     code, output = domain.stop(controller.process)

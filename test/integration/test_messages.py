@@ -261,7 +261,9 @@ def test_simulator_rejects_bad_forces_and_goes_on(domain, observer):
     ]
     for message in bad:
         client.publisher.publish(message)
-    client.publisher.publish(force_message(now, 162, np.array([1.0, 0.0])))
+    # A controller that lets go, of which this is the first that has come, has not answered.
+    client.publisher.publish(force_message(now, 162, np.zeros(2), 'aaaa', is_release=True))
+    client.publisher.publish(force_message(now, 162, np.array([1.0, 0.0]), 'aaaa'))
     observer.wait(lambda: from_stamp(client.answers[-1].header.stamp) == 5_000_000, 'the next step')
     place = 2 * NETWORK.mobile_index(162)
     assert client.answers[-1].velocity[place] > 0

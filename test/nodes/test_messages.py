@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from dpc_ros.nodes.messages import (
     MessageError,
     force_message,
-    read_controller,
     read_force,
     read_stamp,
     to_stamp,
@@ -31,8 +30,8 @@ def test_a_stamp_that_is_none_is_refused(parts):
 @pytest.mark.parametrize('identifier', ['', '1f3a9c02'])
 def test_a_force_names_its_mass_and_its_controller(identifier):
     message = force_message(to_stamp(5), 162, np.array([1.0, -2.0]), identifier)
-    mass, force = read_force(message)
-    assert (mass, read_controller(message)) == (162, identifier)
+    frame, force = read_force(message)
+    assert frame == (162, identifier, False)
     np.testing.assert_array_equal(force, [1.0, -2.0])
 
 
@@ -40,6 +39,5 @@ def test_a_force_names_its_mass_and_its_controller(identifier):
 def test_a_force_without_a_mass_is_refused(frame):
     message = force_message(to_stamp(0), 162, np.zeros(2))
     message.header.frame_id = frame
-    for read in (read_force, read_controller):
-        with pytest.raises(MessageError, match='expected a frame like'):
-            read(message)
+    with pytest.raises(MessageError, match='expected a frame like'):
+        read_force(message)
