@@ -113,6 +113,7 @@ class Domain:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            pipesize=2**20,  # it is read at the end, and who finds it full stands still
         )
         self.processes.append(process)
         return process
