@@ -12,6 +12,7 @@ from dpc_ros.bag.force_frame import without_controller
 from dpc_ros.bag.header import Header, read_header, starts_with_header
 from dpc_ros.bag.mcap_file import Contents, RawMessage, read_contents, read_raw
 from dpc_ros.bag.metadata import LOSSES_RECORD
+from dpc_ros.bag.sequence import Sequence
 from dpc_ros.bag.topic import NANOSECONDS
 
 _SHOWN = 60  # characters of a value of a record
@@ -103,8 +104,7 @@ class _Counter:
         self._information = information
         self._has_header = has_header
         self._stamps: set[int] = set()
-        self._last_sequence = 0
-        self._lost = 0
+        self._sequence = Sequence()
 
     def add(self, message: RawMessage) -> None:
         found = self._information
@@ -115,10 +115,7 @@ class _Counter:
             found.first_ns = message.log_time_ns
         found.messages += 1
         found.last_ns = message.log_time_ns
-        # Numbers that start anew are those of a restarted publisher: nothing is known to be lost.
-        if 0 < self._last_sequence < message.sequence:
-            self._lost += message.sequence - self._last_sequence - 1
-        self._last_sequence = message.sequence
+        self._sequence.add(message.sequence, message.publish_time_ns)
         header: Header | None = read_header(message.cdr) if self._has_header else None
         if header is not None:
             found.frame_ids[header.frame_id] += 1
@@ -126,8 +123,8 @@ class _Counter:
 
     def result(self) -> TopicInformation:
         found = self._information
-        if self._last_sequence and found.publishers <= 1:
-            found.lost = self._lost
+        if self._sequence.is_numbered and found.publishers <= 1:
+            found.lost = self._sequence.lost
         if self._has_header:
             found.repeats = sum(found.frame_ids.values()) - len(self._stamps)
         return found

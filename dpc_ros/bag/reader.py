@@ -16,6 +16,7 @@ from dpc_ros.bag.mcap_file import (
     read_contents,
     read_messages,
 )
+from dpc_ros.bag.sequence import Sequence
 from dpc_ros.bag.splits import BagError
 from dpc_ros.bag.topic import NANOSECONDS
 
@@ -179,22 +180,23 @@ class _Signal:
         self._rows: dict[int, tuple[np.ndarray, ...]] = {}
         self._frame_ids: dict[str, int] = {}
         self._last_stamp = 0
-        self._last_sequence = 0
-        self.repeats = self.lost = self.setbacks = 0
+        self._sequence = Sequence()
+        self.repeats = self.setbacks = 0
 
     def add(self, message: Message) -> None:
         stamp = stamp_of(message.content)
         self.setbacks += stamp < self._last_stamp
         self._last_stamp = stamp
-        # Numbers that start anew are those of a restarted publisher: nothing is known to be lost.
-        if 0 < self._last_sequence < message.sequence:
-            self.lost += message.sequence - self._last_sequence - 1
-        self._last_sequence = message.sequence
+        self._sequence.add(message.sequence, message.publish_time_ns)
         if stamp in self._rows:
             self.repeats += 1
             return
         self._rows[stamp] = self._read(message.content)
         self._frame_ids.setdefault(message.content.header.frame_id, stamp)
+
+    @property
+    def lost(self) -> int:
+        return self._sequence.lost
 
     @property
     def frame_id(self) -> str:
