@@ -27,6 +27,7 @@ from dpc_ros.network import load_network
 END_TIMEOUT = 60  # s, for processes that are told to end
 START_TIMEOUT = 180  # s, for a search to begin
 GRID = {'learning_rate': [3e-3, 1e-3], 'hidden_sizes': [[8], [6, 4]]}
+SEARCHED = {'learning_rate': [3e-3, 1e-3]}
 
 
 @pytest.fixture(scope='module')
@@ -53,11 +54,11 @@ def data_folder(workplace, tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def search(recipe, data_folder, tmp_path_factory):
-    """A search of four trainings: its folder and its rows."""
+    """A search of two trainings: its folder and its rows."""
     folder = tmp_path_factory.mktemp('search')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('DPC_ROS_SEARCH', str(folder))  # every process of Ray inherits it
-        return folder, select(grid_recipes(recipe, GRID), folder, data_folder, parallel=1)
+        return folder, select(grid_recipes(recipe, SEARCHED), folder, data_folder, parallel=1)
 
 
 def still_running(mark, timeout=END_TIMEOUT):
@@ -147,7 +148,7 @@ def test_recipes_that_can_not_be_compared_are_refused(recipe, tmp_path, changes,
 
 def test_a_search_trains_all_and_orders_them_by_their_validation_error(search, recipe, workplace):
     folder, rows = search
-    expected = {r.name: r for r in grid_recipes(recipe, GRID)}
+    expected = {r.name: r for r in grid_recipes(recipe, SEARCHED)}
     assert {row['name'] for row in rows} == expected.keys()
     errors = [row['validation_mse'] for row in rows]
     assert errors == sorted(errors)
@@ -168,6 +169,7 @@ def test_a_search_leaves_no_process_behind(search):
     assert still_running(f'DPC_ROS_SEARCH={search[0]}') == []
 
 
+@pytest.mark.long
 def test_a_search_cut_off_by_ctrl_c_says_that_it_can_be_taken_up(workplace, recipe, tmp_path):
     endless = replace(recipe, epochs=1_000_000, schedule='step').as_dict()
     (tmp_path / 'endless.yaml').write_text(yaml.safe_dump(endless))
@@ -213,7 +215,7 @@ def test_data_made_without_extra_simulations_are_refused(workplace, tmp_path):
 def test_a_second_search_finds_everything_done(search, recipe, data_folder):
     folder, rows = search
     before = {path: path.stat().st_mtime_ns for path in folder.glob('*.json')}
-    assert select(grid_recipes(recipe, GRID), folder, data_folder, parallel=1) == rows
+    assert select(grid_recipes(recipe, SEARCHED), folder, data_folder, parallel=1) == rows
     assert {path: path.stat().st_mtime_ns for path in folder.glob('*.json')} == before
 
 
