@@ -15,22 +15,26 @@ from dpc_ros.control.online import load_system
 from dpc_ros.control.solver import SolverHere
 from dpc_ros.threads import single_threaded_algebra
 
-_NICENESS = 10  # below the nodes of the loop
+_NICENESS = 10  # below the nodes of the loop, once it runs
 
 
 def main() -> None:
     """Answer questions until the other end of the connection is closed."""
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
-    os.nice(_NICENESS)
     received: SimpleQueue[Any] = SimpleQueue()
     Thread(target=_receive, args=(connection, received), daemon=True).start()
     single_threaded_algebra()
     _, _, system = load_system(received.get())
     solver = SolverHere(system)
+    is_waited_for = True  # by a node that can't begin without its first target
     with suppress(OSError):  # nobody is there any more
         while True:
-            solver.ask(received.get())
+            question = received.get()
+            solver.ask(question)
             answer = solver.wait()
+            if is_waited_for and question.target is not None:
+                is_waited_for = False
+                os.nice(_NICENESS)
             try:
                 connection.send((answer.solution, answer.problem))
             except OSError:
