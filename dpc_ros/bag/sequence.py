@@ -23,7 +23,7 @@ class Sequence:
 
     def add(self, number: int, published_ns: int) -> None:
         """Take the number of the next message recorded, 0 for none, and when it was published."""
-        if self._last and published_ns < self._published_ns and self._found(number):
+        if published_ns < self._published_ns and self._found(number):
             return
         if 0 < self._last < number - 1:
             self._missing.append(range(self._last + 1, number))

@@ -19,16 +19,8 @@ def test_what_is_written_is_read(mass, controller):
 @pytest.mark.parametrize(
     'frame',
     [
-        *(
-            '',
-            'mass_',
-            'mass_162@',
-            'mass_-1',
-            'mass_1@a@b',
-            'mass_²',
-            'mass_1\n',
-            'mass_1:released',
-        ),
+        *('', 'mass_', 'mass_162@', 'mass_-1', 'mass_1@a@b', 'mass_²', 'mass_1\n'),
+        *('mass_1:released', 'mass_1@:released', 'mass_1@a:held'),
         *('paper_2@0123456789ab', 'mass_' + '9' * 5000, 'mass_1@' + 'a' * 33),
     ],
 )
