@@ -1,10 +1,11 @@
-"""The floor of the closed loop: its three messages, passed on by bare rclpy nodes that compute nothing.
+"""The floor of the closed loop: bare rclpy nodes that pass its messages on and compute nothing.
 
     python test/benchmarks/bare_loop.py TRIPS FILE simulator [encoder controller]
 
 The nodes of one process share one wait set, which is built once. The one that stands for the
-simulator leads: it writes how long each round trip took [s]. Without it the process goes on until it
-is told to stop. Messages have the types, sizes and quality of service of the loop, and are made once.
+simulator leads: it writes how long each round trip took [s]. Without it the process goes on until
+it is told to stop. Messages have the types, sizes and quality of service of the loop, and are made
+once.
 """
 
 import json

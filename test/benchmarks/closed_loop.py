@@ -1,7 +1,7 @@
 """The closed loop over DDS: from the configuration's publication to the force in hand.
 
-Ours, in lockstep, beside the floor (bare_loop.py) and beside the same nodes in rclpy's own executor.
-All variants take turns. `over_floor` is what counts: our median over that of the floor.
+Ours, in lockstep, beside the floor (bare_loop.py) and beside the same nodes in rclpy's own
+executor. All variants take turns. `over_peer` beside the floor is what counts.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Run a program of this package as it is, and write every round trip that its simulator measures [s].
+"""Run a program of this package, and write every round trip that its simulator measures [s].
 
     python test/benchmarks/measured.py FILE simulator_node|launcher ARGUMENTS…
 
