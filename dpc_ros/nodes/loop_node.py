@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import make_executor
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -475,6 +475,9 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
 
 def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:
     """Run callbacks until a condition holds."""
+    if isinstance(executor, KeptWaitSetExecutor):
+        executor.spin_until(condition)
+        return
     while not condition():
         executor.spin_once(timeout_sec=_SPIN_PERIOD)
 
