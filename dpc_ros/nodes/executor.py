@@ -68,6 +68,7 @@ class _Entity(NamedTuple):
     kind: str
     member: Any
     node: Node
+    is_plain: bool  # a subscription whose callback is no coroutine: this is where messages pass
 
 
 class _KeptWaitSet:
@@ -335,7 +336,7 @@ class KeptWaitSetExecutor(Executor):
         """Run the callback of an entity whose callback group has been entered."""
         self._running += 1
         try:
-            if entity.kind == 'subscription' and not iscoroutinefunction(entity.member.callback):
+            if entity.is_plain:
                 self._take_and_call_subscription(entity.member)
                 return
             call = self._take_and_call(entity)
@@ -467,7 +468,15 @@ class KeptWaitSetExecutor(Executor):
                 ('service', node.services),
                 ('waitable', node.waitables),
             ):
-                entities.extend(_Entity(kind, member, node) for member in members)
+                entities.extend(
+                    _Entity(
+                        kind,
+                        member,
+                        node,
+                        kind == 'subscription' and not iscoroutinefunction(member.callback),
+                    )
+                    for member in members
+                )
         return entities
 
 
