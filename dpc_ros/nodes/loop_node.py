@@ -163,6 +163,7 @@ class LoopNode(LifecycleNode):
         result = self._transition(self.configure, undo=self._clean_up)
         self._configured = result == TransitionCallbackReturn.SUCCESS
         if self._configured:
+            single_threaded_algebra()  # of the libraries that it has loaded
             self.get_logger().info('configured')  # the first line that is logged takes long, too
         return result
 
