@@ -46,6 +46,7 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.10',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={PACKAGE: ['*/__init__.pyi']},  # lazy_loader reads them
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
@@ -53,6 +54,7 @@ setup(
     ],
     install_requires=[
         'jaxtyping',
+        'lazy_loader',
         'matplotlib',
         'mcap',
         'mcap-ros2-support',

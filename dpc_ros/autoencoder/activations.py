@@ -18,6 +18,7 @@ class Activation(NamedTuple):
     value: Callable[[Array], Array]
     first_derivative: Callable[[Array], Array]
     second_derivative: Callable[[Array], Array]
+    value_and_first_derivative: Callable[[Array], tuple[Array, Array]]
 
 
 def _silu_first(z: Array) -> Array:
@@ -25,9 +26,19 @@ def _silu_first(z: Array) -> Array:
     return s * (1.0 + z * (1.0 - s))
 
 
+def _silu_with_first(z: Array) -> tuple[Array, Array]:
+    s = expit(z)
+    return z * s, s * (1.0 + z * (1.0 - s))
+
+
 def _silu_second(z: Array) -> Array:
     s = expit(z)
     return s * (1.0 - s) * (2.0 + z * (1.0 - 2.0 * s))
+
+
+def _elu_with_first(z: Array) -> tuple[Array, Array]:
+    below = np.minimum(z, 0)
+    return np.where(z > 0, z, np.expm1(below)), np.exp(below)
 
 
 ACTIVATIONS = {
@@ -35,8 +46,12 @@ ACTIVATIONS = {
         value=lambda z: np.where(z > 0, z, np.expm1(np.minimum(z, 0))),
         first_derivative=lambda z: np.exp(np.minimum(z, 0)),
         second_derivative=lambda z: np.where(z > 0, 0.0, np.exp(np.minimum(z, 0))),
+        value_and_first_derivative=_elu_with_first,
     ),
     'silu': Activation(
-        value=lambda z: z * expit(z), first_derivative=_silu_first, second_derivative=_silu_second
+        value=lambda z: z * expit(z),
+        first_derivative=_silu_first,
+        second_derivative=_silu_second,
+        value_and_first_derivative=_silu_with_first,
     ),
 }

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.autoencoder.compiled import DenseDecoder
+if TYPE_CHECKING:
+    from dpc_ros.autoencoder.compiled import DenseDecoder
+
 
 # D(ξ), J and J̇ξ̇
 Derivatives = tuple[

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from dpc_ros.autoencoder.architecture import GraphArchitecture
 from dpc_ros.autoencoder.layered import LayeredAutoencoder, NamedTensors, fold_normalisation
 from dpc_ros.autoencoder.layers import DenseLayer, GraphLayer, Layer, neighbour_mean
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 class GraphAutoencoder(LayeredAutoencoder):

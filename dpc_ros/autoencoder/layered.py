@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -13,9 +14,11 @@ from dpc_ros.autoencoder.architecture import (
     PodArchitecture,
 )
 from dpc_ros.autoencoder.base import Autoencoder, Derivatives
-from dpc_ros.autoencoder.compiled import DenseDecoder, dense_decoder
 from dpc_ros.autoencoder.layers import DenseLayer, Layer
 from dpc_ros.autoencoder.perceptron import Perceptron
+
+if TYPE_CHECKING:
+    from dpc_ros.autoencoder.compiled import DenseDecoder
 
 _CHUNK = 512  # configurations that go through the layers at a time
 
@@ -80,6 +83,8 @@ class LayeredAutoencoder(Autoencoder):
         weights = [layer.weight for layer in layers if isinstance(layer, DenseLayer)]
         if len(weights) < len(layers):
             return None
+        from dpc_ros.autoencoder.compiled import dense_decoder  # with numba: not every node's
+
         biases = [layer.bias for layer in layers]
         return dense_decoder(weights, biases, self._decoder.skip, self._decoder.activation)
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csr_array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Scale = float | Float[np.ndarray, ' size']
 
@@ -153,6 +156,8 @@ def neighbour_mean(edges: np.ndarray, nodes: int) -> csr_array:
     Raises:
         ValueError: an edge names a node that does not exist, or the shape is another.
     """
+    from scipy.sparse import csr_array  # of graphs alone, and slow to import
+
     edges = np.asarray(edges)
     if edges.ndim != 2 or edges.shape[1] != 2:
         raise ValueError(f'edges: expected pairs of nodes, (edges, 2), got shape {edges.shape}')

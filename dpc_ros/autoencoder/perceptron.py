@@ -78,9 +78,8 @@ class Perceptron:
         hidden, moved = x, tangent
         for layer in self.layers[:-1]:
             z = layer.value(hidden)
-            slope = self._activation.first_derivative(z)
+            hidden, slope = self._activation.value_and_first_derivative(z)
             moved = layer.product(moved) * (slope if moved.ndim == z.ndim else slope[..., None, :])
-            hidden = self._activation.value(z)
         last = self.layers[-1]
         value, product = last.value(hidden), last.product(moved)
         if self.skip is not None:

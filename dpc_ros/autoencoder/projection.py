@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from dpc_ros.autoencoder.base import Autoencoder, Derivatives
-from dpc_ros.autoencoder.compiled import DenseDecoder
+from dpc_ros.autoencoder.encoders import ITERATIONS
 
-ENCODERS = ('network', 'projection')
-ITERATIONS = 20
+if TYPE_CHECKING:
+    from dpc_ros.autoencoder.compiled import DenseDecoder
+
 _TOLERANCE = 1e-10  # norm of a step that ends the search, in latent units
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-6, 1e-12  # of JᵀJ's mean diagonal
 _GROWTH, _DECAY = 10.0, 0.1
 _CHUNK = 256  # configurations that are projected at a time
-
-
-def with_encoder(
-    autoencoder: Autoencoder, encoder: str, iterations: int = ITERATIONS
-) -> Autoencoder:
-    """Return an autoencoder with its trained encoder (`network`) or the projection in its place.
-
-    Args:
-        autoencoder: a trained one.
-        encoder: one of `ENCODERS`.
-        iterations: steps of the projection at most.
-
-    Raises:
-        ValueError: there is no such encoder, or iterations is not positive.
-    """
-    if encoder not in ENCODERS:
-        raise ValueError(f'encoder {encoder!r}: expected one of {ENCODERS}')
-    return autoencoder if encoder == 'network' else ProjectionAutoencoder(autoencoder, iterations)
 
 
 class ProjectionAutoencoder(Autoencoder):

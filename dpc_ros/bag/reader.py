@@ -18,9 +18,7 @@ from dpc_ros.bag.mcap_file import (
 )
 from dpc_ros.bag.sequence import Sequence
 from dpc_ros.bag.splits import BagError
-from dpc_ros.bag.topic import NANOSECONDS
-
-LATENT_PREFIX = 'xi_'  # how the names of latent coordinates start
+from dpc_ros.bag.topic import LATENT_PREFIX, NANOSECONDS
 
 _JOINT_STATE = 'sensor_msgs/msg/JointState'
 _WRENCH = 'geometry_msgs/msg/WrenchStamped'

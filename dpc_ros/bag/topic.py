@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+LATENT_PREFIX = 'xi_'  # how the names of latent coordinates start
 NANOSECONDS = 1_000_000_000  # per second
 INFINITE_NS = 2**63 - 1  # ns, what ROS 2 writes for a duration without end
 

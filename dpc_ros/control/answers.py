@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from dpc_ros.control.law import LONGEST_GAP, NANOSECOND
+from dpc_ros.control.stamps import LONGEST_GAP, NANOSECOND
 
 _LONGEST_GAP_NS = round(LONGEST_GAP / NANOSECOND)
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
-from dpc_ros.control.law import NANOSECOND
+from dpc_ros.control.stamps import NANOSECOND
 
 LONGEST_DELAY = 1.0  # s; what is longer is a difference of clocks
 _WINDOW = 100  # messages

@@ -12,11 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.control.saturation import shorten
+from dpc_ros.control.stamps import LONGEST_GAP, NANOSECOND
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
-
-NANOSECOND = 1e-9  # s
-LONGEST_GAP = 0.5  # s between two stamps of one motion; after a longer one all begins anew
 
 
 @dataclass(frozen=True)

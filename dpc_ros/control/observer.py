@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.control.law import LONGEST_GAP, NANOSECOND
+from dpc_ros.autoencoder import Autoencoder
+from dpc_ros.control.stamps import LONGEST_GAP, NANOSECOND
+from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics
+from dpc_ros.parameters import ParameterError
 from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
 
 _LONGEST_STEP = 0.01  # s, of a prediction
@@ -236,3 +240,19 @@ class LatentObserver:
         """Return (JᵀJ)⁻¹, the covariance of a latent state under unit noise on the coordinates."""
         jacobian = self.system.autoencoder.decoder_jacobian(latent)
         return np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+
+
+def make_observer(
+    network: MassSpringNetwork, autoencoder: Autoencoder, parameters: Mapping[str, Any]
+) -> LatentObserver:
+    """Return the observer that an encoder's parameters describe: they have its settings' names.
+
+    Raises:
+        ParameterError: the delay is given, and to be measured as well.
+    """
+    if parameters['measure_delay'] and parameters['delay']:
+        raise ParameterError('measure_delay: expected delay 0, or measure_delay false: not both')
+    gravity = Gravity(parameters['gravity_magnitude'], parameters['gravity_angle'])
+    system = CompressedSystem(Mechanics(network, gravity), autoencoder, parameters['actuated_mass'])
+    names = (each.name for each in fields(ObserverSettings))
+    return LatentObserver(system, ObserverSettings(**{name: parameters[name] for name in names}))

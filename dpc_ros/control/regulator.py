@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_continuous_are
 
-from dpc_ros.control.equilibrium import EquilibriumError, FeedForward, feed_forward
-from dpc_ros.control.law import ControlLaw, LawSettings
-from dpc_ros.control.saturation import shorten
-from dpc_ros.control.static_bound import (
+from dpc_ros.control.constant_force import (
     ConstantForce,
     StaticBound,
     nearest_equilibrium,
     static_bound,
 )
+from dpc_ros.control.equilibrium import EquilibriumError, FeedForward, feed_forward
+from dpc_ros.control.law import ControlLaw, LawSettings
+from dpc_ros.control.saturation import shorten
 from dpc_ros.control.targets import Target
 from dpc_ros.reduction import CompressedSystem
 

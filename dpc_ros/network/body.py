@@ -32,7 +32,7 @@ class Body:
         self.integrator = integrator
         self.network = integrator.mechanics.network
         self.actuated_mass = actuated_mass
-        self.network.mobile_index(actuated_mass)
+        self._place = 2 * self.network.mobile_index(actuated_mass)
         rest = self.network.rest_configuration
         self._start = (
             rest if configuration is None else configuration,
@@ -60,12 +60,9 @@ class Body:
         """
         force = np.zeros(self.network.configuration_size)
         for mass, push in (external_forces or {}).items():
-            self._add(force, mass, push)
-        self._add(force, self.actuated_mass, control_force)
+            place = 2 * self.network.mobile_index(mass)
+            force[place : place + 2] += push
+        force[self._place : self._place + 2] += control_force
         self.configuration, self.velocity = self.integrator.advance(
             self.configuration, self.velocity, force
         )
-
-    def _add(self, force: np.ndarray, mass: int, push: np.ndarray) -> None:
-        place = 2 * self.network.mobile_index(mass)
-        force[place : place + 2] += push

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from dpc_ros.files import replacing
 from dpc_ros.resources import find_resource
@@ -320,9 +318,14 @@ def _check_indices(key: str, indices: np.ndarray, masses: int) -> None:
 
 def _check_connected(network: MassSpringNetwork, masses: int) -> None:
     first, second = network.springs.T
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(masses, masses))
-    _, component = connected_components(graph, directed=False)
-    loose = np.flatnonzero(~np.isin(component, component[network.fixed]))
+    held = np.zeros(masses, dtype=bool)
+    held[network.fixed] = True
+    count = 0
+    while count < held.sum():  # by one spring further from the fixed ones each time
+        count = held.sum()
+        held[first[held[second]]] = True
+        held[second[held[first]]] = True
+    loose = np.flatnonzero(~held)
     if len(loose):
         raise NetworkError(
             f'springs: mass {loose[0]} is disconnected, no chain of springs leads from it to a '

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -13,7 +13,7 @@ from rclpy.context import Context
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
-from dpc_ros.control import Answers, Controllers, DelayMeter, LatentObserver, OnlineEncoder
+from dpc_ros.control import Answers, Controllers, DelayMeter, OnlineEncoder
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
@@ -27,6 +27,9 @@ from dpc_ros.nodes.messages import (
 )
 from dpc_ros.nodes.topics import MOST_STATES
 from dpc_ros.nodes.turns import Turns
+
+if TYPE_CHECKING:
+    from dpc_ros.control import LatentObserver
 
 _WATCH_PERIOD = 0.05  # s between two looks whether configurations come
 _STALE = 'configuration is stale'

@@ -3,7 +3,8 @@
 For every callback rclpy's executors collect all entities (subscriptions, timers, services …) of
 their nodes anew and wrap the callback in a task that wakes the executor twice more. That costs
 several times the hop of a message itself. `KeptWaitSetExecutor` collects them once and again only
-when they change.
+when they change. A node has some twenty services and events, which rcl has to be told of again for
+each wait: while messages come it waits on those without them, and looks at all now and then.
 
 It relies on these names of rclpy that are not public, all alike in Jazzy and Kilted:
 
@@ -24,8 +25,8 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager, suppress
 from inspect import iscoroutinefunction
 from typing import Any, NamedTuple
 
@@ -49,10 +50,14 @@ from rclpy.waitable import NumberOfEntities
 # thread sets: the executor looks for both this often.
 LONGEST_WAIT_S = 0.1
 
+# While messages come, services and what else is rare is looked at as often as this.
+_RARE_PERIOD = 0.02  # s
+
 _LARGEST_BATCH = 1000  # messages of one subscription in a row, so that none starves the others
 
 # Kinds of entities in the order in which those that are ready together run, as in rclpy.
 _HANDLE_KINDS = ('timer', 'subscription', 'guard_condition', 'client', 'service')
+_URGENT_KINDS = ('timer', 'subscription', 'guard_condition')
 
 _Call = Callable[[], Coroutine[Any, Any, None]]
 
@@ -63,6 +68,7 @@ class _Entity(NamedTuple):
     kind: str
     member: Any
     node: Node
+    is_plain: bool  # a subscription whose callback is no coroutine: this is where messages pass
 
 
 class _KeptWaitSet:
@@ -210,6 +216,8 @@ class KeptWaitSetExecutor(Executor):
         super().__init__(context=context)
         self._gathering_s = gathering_s
         self._kept: _KeptWaitSet | None = None
+        self._urgent: _KeptWaitSet | None = None  # the same without what is rare
+        self._urgent_until = -math.inf  # by the clock of `time.monotonic`
         self._holds_between_waits = False
         self._ready: deque[_Entity] = deque()
         self._resumable: deque[tuple[Task, Any, Node | None]] = deque()
@@ -258,20 +266,39 @@ class KeptWaitSetExecutor(Executor):
 
     def spin(self) -> None:
         """Run callbacks until the executor or the context is shut down."""
-        self._holds_between_waits = True
-        try:
+        with self._holding():
             super().spin()
-        finally:
-            self._holds_between_waits = False
-            self._forget_wait_set()
+
+    def spin_until(self, condition: Callable[[], bool]) -> None:
+        """Run callbacks until a condition holds, which is looked at after each of them.
+
+        Args:
+            condition: where nothing happens, it is looked at within `LONGEST_WAIT_S`.
+
+        Raises:
+            ExternalShutdownException: the context was shut down.
+        """
+        with self._holding():
+            while not condition():
+                self._spin_once(LONGEST_WAIT_S, lambda: False)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Stop spinning; see `rclpy.executors.Executor.shutdown`."""
         finished = super().shutdown(timeout_sec)
         # While a thread spins the handles are in rcl's hands: that thread lets go of them.
         if not self._holds_between_waits:
-            self._kept = None
+            self._kept = self._urgent = None
         return finished
+
+    @contextmanager
+    def _holding(self) -> Iterator[None]:
+        """Hold the handles from one wait to the next: to take them each time costs more than it."""
+        self._holds_between_waits = True
+        try:
+            yield
+        finally:
+            self._holds_between_waits = False
+            self._forget_wait_set()
 
     def _spin_once(
         self, timeout_sec: float | TimeoutObject | None, is_over: Callable[[], bool]
@@ -309,7 +336,7 @@ class KeptWaitSetExecutor(Executor):
         """Run the callback of an entity whose callback group has been entered."""
         self._running += 1
         try:
-            if entity.kind == 'subscription' and not iscoroutinefunction(entity.member.callback):
+            if entity.is_plain:
                 self._take_and_call_subscription(entity.member)
                 return
             call = self._take_and_call(entity)
@@ -385,9 +412,12 @@ class KeptWaitSetExecutor(Executor):
         guard, interrupt = self._guard, self._sigint_gc
         if guard is None or interrupt is None:
             return True
-        if self._kept is None:
-            self._kept = _KeptWaitSet(self._entities(), [guard, interrupt], self._context)
-        kept = self._kept
+        if self._kept is None or self._urgent is None:
+            entities = self._entities()
+            urgent = [entity for entity in entities if entity.kind in _URGENT_KINDS]
+            self._kept = _KeptWaitSet(entities, [guard, interrupt], self._context)
+            self._urgent = _KeptWaitSet(urgent, [guard, interrupt], self._context)
+        kept, timeout_sec = self._next_wait(self._kept, self._urgent, timeout_sec)
         # Only a suspended coroutine, or a callback that spins itself, keeps a group busy.
         restricted = bool(self._tasks) or self._running > 0
         try:
@@ -399,19 +429,32 @@ class KeptWaitSetExecutor(Executor):
                 return True
             if not self._context.ok():
                 raise ExternalShutdownException
-            if guard.handle.pointer in guards_ready and self._entities() != kept.entities:
+            if guard.handle.pointer in guards_ready and self._entities() != self._kept.entities:
                 self._forget_wait_set()
                 return False
-            self._ready.extend(kept.ready_entities())
+            ready = kept.ready_entities()
         finally:
             if not self._holds_between_waits:
                 kept.release()
+        self._ready.extend(ready)
+        if kept is self._kept and any(entity.kind == 'subscription' for entity in ready):
+            self._urgent_until = time.monotonic() + _RARE_PERIOD
         return True
 
+    def _next_wait(
+        self, every: _KeptWaitSet, urgent: _KeptWaitSet, timeout_sec: float
+    ) -> tuple[_KeptWaitSet, float]:
+        """Return on what to wait next, and for how long at most [s]."""
+        remaining = self._urgent_until - time.monotonic()
+        if self._holds_between_waits and remaining > 0:
+            return urgent, min(timeout_sec, remaining)
+        return every, timeout_sec
+
     def _forget_wait_set(self) -> None:
-        if self._kept is not None:
-            self._kept.release()
-            self._kept = None
+        for kept in (self._kept, self._urgent):
+            if kept is not None:
+                kept.release()
+        self._kept = self._urgent = None
 
     def _entities(self) -> list[_Entity]:
         """List what the executor's nodes wait on now."""
@@ -425,7 +468,15 @@ class KeptWaitSetExecutor(Executor):
                 ('service', node.services),
                 ('waitable', node.waitables),
             ):
-                entities.extend(_Entity(kind, member, node) for member in members)
+                entities.extend(
+                    _Entity(
+                        kind,
+                        member,
+                        node,
+                        kind == 'subscription' and not iscoroutinefunction(member.callback),
+                    )
+                    for member in members
+                )
         return entities
 
 

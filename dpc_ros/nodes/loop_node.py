@@ -6,6 +6,7 @@ import contextlib
 import faulthandler
 import os
 import sys
+import time
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Mapping
@@ -25,8 +26,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import make_executor
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -163,6 +163,7 @@ class LoopNode(LifecycleNode):
         result = self._transition(self.configure, undo=self._clean_up)
         self._configured = result == TransitionCallbackReturn.SUCCESS
         if self._configured:
+            single_threaded_algebra()  # of the libraries that it has loaded
             self.get_logger().info('configured')  # the first line that is logged takes long, too
         return result
 
@@ -290,7 +291,7 @@ class LoopNode(LifecycleNode):
 
     def steady_time(self) -> float:
         """Return the time of a clock that nobody sets [s]."""
-        return self._steady_clock.now().nanoseconds / NANOSECONDS
+        return time.monotonic()
 
     def say(self, text: str, problem: bool = False, source: str = '') -> None:
         """Log a line, the same one only every few seconds.
@@ -476,6 +477,9 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
 
 def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:
     """Run callbacks until a condition holds."""
+    if isinstance(executor, KeptWaitSetExecutor):
+        executor.spin_until(condition)
+        return
     while not condition():
         executor.spin_once(timeout_sec=_SPIN_PERIOD)
 

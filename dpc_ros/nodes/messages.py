@@ -15,8 +15,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
-from dpc_ros.bag.reader import LATENT_PREFIX
-from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.bag.topic import LATENT_PREFIX, NANOSECONDS
 
 
 class MessageError(ValueError):

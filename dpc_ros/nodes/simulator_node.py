@@ -181,7 +181,7 @@ class SimulatorNode(LoopNode):
         return stamp != self._awaited or self._answered
 
     def _check_strength(self, force: np.ndarray, limit: float) -> None:
-        strength = np.hypot(*force)
+        strength = math.hypot(*force)
         if strength > limit:
             raise MessageError(f'expected at most {limit:g} N, got {strength:g}')
 

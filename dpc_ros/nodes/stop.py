@@ -37,12 +37,16 @@ class StopRequest:
         self._domain = domain
         self._arguments = sys.argv[1:] if arguments is None else arguments
         self._asked = False
-        self._parent = os.environ.get(PARENT_VARIABLE)
+        parent = os.environ.get(PARENT_VARIABLE)
+        self._parent = None if parent is None else int(parent)
         self._previous: dict[int, object] = {}
 
     def __bool__(self) -> bool:
-        orphaned = self._parent is not None and os.getppid() != int(self._parent)
-        return self._asked or orphaned or not self.context.ok()
+        return (
+            self._asked
+            or (self._parent is not None and os.getppid() != self._parent)
+            or not self.context.ok()
+        )
 
     def __enter__(self) -> StopRequest:
         for number in _SIGNALS:

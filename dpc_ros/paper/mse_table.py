@@ -10,7 +10,7 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from dpc_ros.autoencoder import Autoencoder
-from dpc_ros.autoencoder.projection import ENCODERS
+from dpc_ros.autoencoder.encoders import ENCODERS
 from dpc_ros.figure import new_figure, save_figure, tidy
 from dpc_ros.paper.colours import COLOURS
 from dpc_ros.paper.models import Trained, Workshop, in_batches

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dpc_ros.autoencoder.projection import ENCODERS
+from dpc_ros.autoencoder.encoders import ENCODERS
 from dpc_ros.figure import new_figure, save_figure, tidy
 from dpc_ros.paper.colours import COLOURS
 from dpc_ros.paper.models import Workshop

@@ -1,19 +1,5 @@
 """The compressed Hamiltonian system: the body's mechanics in latent coordinates."""
 
-from dpc_ros.reduction.compressed_system import CompressedSystem
-from dpc_ros.reduction.simulation import (
-    METHODS,
-    DivergenceError,
-    LatentTrajectory,
-    UnsolvedStepError,
-    simulate_compressed,
-)
+from lazy_loader import attach_stub
 
-__all__ = [
-    'METHODS',
-    'CompressedSystem',
-    'DivergenceError',
-    'LatentTrajectory',
-    'UnsolvedStepError',
-    'simulate_compressed',
-]
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

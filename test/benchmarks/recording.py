@@ -4,28 +4,23 @@ The nodes are processes, as the launcher starts them; the recorder's time is tha
 and the last message in its log. There is no peer: the time stands beside a quarter of a core.
 """
 
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import psutil
+from processes import nodes_of, plan_of
 
 from dpc_ros.bag import read_run
 from dpc_ros.bag.mcap_file import read_messages
-from dpc_ros.nodes.launch_plan import make_plan
-from dpc_ros.resources import config_path
 
 RATES = (200.0, 1000.0)  # Hz
 DURATION = 5.0  # s, of simulated time
 REPETITIONS = 3
 QUARTER_OF_A_CORE = 0.25
 TOPICS = ('/configuration', '/latent_state', '/control_force')
-READERS = {'simulator': 'encoder', 'encoder': 'controller', 'controller': 'simulator'}
 SAMPLING = 0.02  # s between two looks at the recorder's time
 
 
@@ -50,34 +45,11 @@ def _row(rate, runs):
 
 def _record(rate):
     with tempfile.TemporaryDirectory() as folder:
-        plan = _plan(rate, Path(folder) / 'run')
-        environment = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-        nodes = {}
-        try:
-            for kind in plan.nodes:
-                command = [sys.executable, '-m', f'dpc_ros.nodes.{kind}_node']
-                nodes[kind] = subprocess.Popen(
-                    [*command, *plan.ros_arguments()], env=environment, stderr=subprocess.DEVNULL
-                )
+        simulator = {'rate': rate, 'time_mode': 'realtime', 'duration': DURATION}
+        plan = plan_of(Path(folder) / 'run', simulator=simulator)
+        with nodes_of(plan) as nodes:
             samples = _sample(nodes['recorder'], nodes['simulator'])
-        finally:
-            for kind in reversed(plan.nodes):  # the recorder last
-                nodes[kind].terminate()
-                nodes[kind].wait()
         return _evaluate(plan.bag, rate, samples)
-
-
-def _plan(rate, folder):
-    overrides = {
-        'simulator': {'rate': rate, 'time_mode': 'realtime', 'duration': DURATION},
-        'encoder': {},
-        'controller': {},
-    }
-    for kind, reader in READERS.items():
-        overrides[kind]['expected_subscribers'] = [reader, 'recorder']
-    plan = make_plan(config_path('demo.yaml'), overrides, folder)
-    plan.write()
-    return plan
 
 
 def _sample(recorder, simulator):

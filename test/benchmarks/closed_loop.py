@@ -1,0 +1,96 @@
+"""The closed loop over DDS: from the configuration's publication to the force in hand.
+
+Ours, in lockstep, beside the floor (bare_loop.py) and beside the same nodes in rclpy's own
+executor. All variants take turns. `over_peer` beside the floor is what counts.
+"""
+
+import json
+import statistics
+import tempfile
+from pathlib import Path
+
+from processes import end, nodes_of, plan_of, start
+
+from dpc_ros.resources import config_path
+
+REPETITIONS = 3
+TRIPS = 3000
+WARM_UP = 200  # round trips
+RATE = 200.0  # Hz
+HERE = Path(__file__).parent
+FLOOR = 'bare rclpy nodes, one kept wait set'
+SINGLE_THREADED = 'the same in SingleThreadedExecutor'
+NODES = ('simulator', 'encoder', 'controller')
+
+
+def measure(repetitions=REPETITIONS, trips=TRIPS):
+    """Return the rows: one process and three, without and with the recorder."""
+    variants = {
+        'one_process': _composed,
+        'one_process_recorded': lambda *rest: _composed(*rest, record=True),
+        'one_process_floor': lambda *rest: _floor([NODES], *rest),
+        'three_processes': _separate,
+        'three_processes_recorded': lambda *rest: _separate(*rest, record=True),
+        'three_processes_floor': lambda *rest: _floor([(kind,) for kind in NODES], *rest),
+        'three_processes_single_threaded': lambda *rest: _separate(
+            *rest, all={'executor': 'single_threaded'}
+        ),
+    }
+    found = {name: [] for name in variants}
+    for _ in range(repetitions):
+        for name, run in variants.items():
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / 'trips.json'
+                run(Path(folder) / 'run', file, trips)
+                found[name] += json.loads(file.read_text())[WARM_UP:trips]
+    return [
+        _row(f'closed_loop_{name}{recorded}', peer, found[name + recorded], found[name + of_peer])
+        for name in ('one_process', 'three_processes')
+        for recorded in ('', '_recorded')
+        for peer, of_peer in ((FLOOR, '_floor'), (SINGLE_THREADED, '_single_threaded'))
+        if name + of_peer in found
+    ]
+
+
+def _row(benchmark, peer, ours, others):
+    median, peer_median = statistics.median(ours), statistics.median(others)
+    p99, peer_p99 = (statistics.quantiles(each, n=100)[-1] for each in (ours, others))
+    return {
+        'benchmark': benchmark,
+        'ours_median_s': median,
+        'peer': peer,
+        'peer_median_s': peer_median,
+        'ratio': peer_median / median,
+        'over_peer': median / peer_median,
+        'ours_p99_s': p99,
+        'peer_p99_s': peer_p99,
+        'p99_over_median': p99 / median,
+    }
+
+
+def _duration(trips):
+    return (trips + 1) / RATE
+
+
+def _composed(folder, file, trips, record=False):
+    start(
+        *(str(HERE / 'measured.py'), str(file), 'launcher', '--composed'),
+        *('--config', str(config_path('demo.yaml')), '--output', str(folder)),
+        *('--duration', str(_duration(trips)), *([] if record else ['--no-record'])),
+    ).wait()
+
+
+def _separate(folder, file, trips, record=False, **parameters):
+    plan = plan_of(folder, record, simulator={'duration': _duration(trips)}, **parameters)
+    with nodes_of(
+        plan, simulator=[str(HERE / 'measured.py'), str(file), 'simulator_node']
+    ) as nodes:
+        nodes['simulator'].wait()
+
+
+def _floor(processes, folder, file, trips):
+    leader, *others = [
+        start(str(HERE / 'bare_loop.py'), str(trips), str(file), *kinds) for kinds in processes
+    ]
+    leader.wait()
+    end(others)
