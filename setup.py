@@ -77,6 +77,7 @@ setup(
             'colcon-common-extensions',
             'colcon-ros',
             'hypothesis',
+            'mujoco',
             'mypy',
             'psutil',
             'pyarrow',
