@@ -4,6 +4,7 @@ from dpc_ros.network.body import Body
 from dpc_ros.network.drawing import draw_figure, draw_network, draw_springs
 from dpc_ros.network.generator import GeneratorSettings, generate_network
 from dpc_ros.network.integration import INTEGRATORS, Integrator, Trajectory, simulate
+from dpc_ros.network.many import simulate_many
 from dpc_ros.network.mass_spring_network import (
     DAMPING_KINDS,
     MassSpringNetwork,
@@ -32,4 +33,5 @@ __all__ = [
     'load_network',
     'save_network',
     'simulate',
+    'simulate_many',
 ]
