@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+CHUNK = 256  # springs whose part of a workspace stays in the nearest cache
+
 
 class NetworkArrays(NamedTuple):
     """What the kernels need of a network; masses renumbered, mobile first."""
@@ -226,9 +228,9 @@ class Workspace(NamedTuple):
 
     state: np.ndarray  # (masses, 4), place [m] and velocity [m/s] of each
     force: np.ndarray  # (masses, 2) [N]
-    ends: np.ndarray  # (4, springs), d of each [m] and its rate [m/s]
-    stretch: np.ndarray  # (springs,) force by d [N/m]
-    pull: np.ndarray  # (2, springs), force of each on its second end [N]
+    ends: np.ndarray  # (4, chunk), d of some springs [m] and its rate [m/s]
+    stretch: np.ndarray  # (chunk,) force by d [N/m]
+    pull: np.ndarray  # (2, chunk), force of each on its second end [N]
 
 
 @njit(cache=True)
@@ -236,15 +238,14 @@ def workspace(network):
     """Return a workspace for a network."""
     mobile = network.mobile_mass.shape[0]
     masses = mobile + network.fixed_position.shape[0]
-    springs = network.first.shape[0]
     state = np.zeros((masses, 4))
     state[mobile:, :2] = network.fixed_position
     return Workspace(
         state,
         np.zeros((masses, 2)),
-        np.empty((4, springs)),
-        np.empty(springs),
-        np.empty((2, springs)),
+        np.empty((4, CHUNK)),
+        np.empty(CHUNK),
+        np.empty((2, CHUNK)),
     )
 
 
@@ -252,7 +253,8 @@ def workspace(network):
 def accelerate(network, gravity, configuration, velocity, force, work, result):
     """Fill `result` (n,) with q̈ = M⁻¹(−∇V(q) − C(q) q̇ + f) [m/s²]; f is the force (n,) [N].
 
-    What goes by spring is gathered first, so that the arithmetic runs over whole arrays.
+    What goes by spring is gathered first, so that the arithmetic runs over whole arrays: of a chunk
+    of springs at a time, which the nearest cache holds.
     """
     mobile = network.mobile_mass.shape[0]
     for i in range(mobile):
@@ -260,17 +262,20 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
             work.state[i, axis] = configuration[2 * i + axis]
             work.state[i, 2 + axis] = velocity[2 * i + axis]
             work.force[i, axis] = force[2 * i + axis]
-    for j in range(network.first.shape[0]):
+    springs = network.first.shape[0]
+    for begin in range(0, springs, CHUNK):
         # Unsigned, so that no index has to be looked at for counting from the end.
-        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
-        for part in range(4):
-            work.ends[part, j] = work.state[a, part] - work.state[b, part]
-    _pull(network, work.ends[:2], work.ends[2:], work.stretch, work.pull)
-    for j in range(network.first.shape[0]):
-        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
-        for axis in range(2):
-            work.force[a, axis] -= work.pull[axis, j]
-            work.force[b, axis] += work.pull[axis, j]
+        start, count = np.uintp(begin), np.uintp(min(CHUNK, springs - begin))
+        for j in range(count):
+            a, b = np.uintp(network.first[start + j]), np.uintp(network.second[start + j])
+            for part in range(4):
+                work.ends[part, j] = work.state[a, part] - work.state[b, part]
+        _pull(network, start, count, work)
+        for j in range(count):
+            a, b = np.uintp(network.first[start + j]), np.uintp(network.second[start + j])
+            for axis in range(2):
+                work.force[a, axis] -= work.pull[axis, j]
+                work.force[b, axis] += work.pull[axis, j]
     for i in range(mobile):
         mass = network.mobile_mass[i]
         result[2 * i] = work.force[i, 0] / mass + gravity[0]
@@ -278,32 +283,33 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
 
 
 @njit(cache=True, error_model='numpy')
-def _pull(network, d, rate, stretch, pull):
-    """Fill `pull` (2, springs) with the force of each spring [N], from d and its rate.
+def _pull(network, start, count, work):
+    """Fill `work.pull` with the force of each spring of a chunk [N], from d and its rate.
 
     Each loop reads and writes few arrays, or the compiler would not run it in parallel lanes.
     """
-    springs = network.first.shape[0]
-    for j in range(springs):
+    d, rate, stretch, pull = work.ends[:2], work.ends[2:], work.stretch, work.pull
+    for j in range(count):
         length = np.sqrt(d[0, j] * d[0, j] + d[1, j] * d[1, j])
-        elastic = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
+        elastic = network.stiffness[start + j] * (1.0 - network.rest_length[start + j] / length)
         stretch[j] = elastic if length > 0.0 else 0.0
     for axis in range(2):
-        for j in range(springs):
-            background = d[axis, j] - network.background_vector[axis, j]
+        for j in range(count):
+            background = d[axis, j] - network.background_vector[axis, start + j]
             pull[axis, j] = stretch[j] * d[axis, j] + network.background_stiffness * background
     if network.axial:
-        for j in range(springs):
+        for j in range(count):
             square = d[0, j] * d[0, j] + d[1, j] * d[1, j]
-            along = network.damping[j] * (d[0, j] * rate[0, j] + d[1, j] * rate[1, j]) / square
+            power = d[0, j] * rate[0, j] + d[1, j] * rate[1, j]
+            along = network.damping[start + j] * power / square
             stretch[j] = along if square > 0.0 else 0.0
         for axis in range(2):
-            for j in range(springs):
+            for j in range(count):
                 pull[axis, j] += stretch[j] * d[axis, j]
     else:
         for axis in range(2):
-            for j in range(springs):
-                pull[axis, j] += network.damping[j] * rate[axis, j]
+            for j in range(count):
+                pull[axis, j] += network.damping[start + j] * rate[axis, j]
 
 
 @njit(cache=True)
