@@ -1,35 +1,46 @@
-"""Run the benchmarks, each beside a peer; all but the recorder's in one process on one thread.
+"""Run the benchmarks, each beside a peer.
 
-    python test/benchmarks/run.py [--results docs/results/benchmarks.json]
+    python test/benchmarks/run.py --results docs/results/benchmarks.json
+    python test/benchmarks/run.py body_step body_many
 
-The ratio of the medians is what counts: the times are this machine's. What both compute is compared
+All but the recorder's are in one process, on one thread unless their name says another number. The
+ratio of the medians is what counts: the times are this machine's. What both compute is compared
 first.
 """
 
 import argparse
-
-import graph_training
-import latent_dynamics
-import recording
+from importlib import import_module
 
 from dpc_ros.results import write_results
 from dpc_ros.threads import single_threaded_algebra
 
-BENCHMARKS = (latent_dynamics, graph_training, recording)
+BENCHMARKS = (
+    'body_step',
+    'body_accuracy',
+    'body_scaling',
+    'body_many',
+    'latent_dynamics',
+    'graph_training',
+    'recording',
+)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('--results', help='JSON to write')
+    known = ', '.join(BENCHMARKS)
+    parser.add_argument('names', nargs='*', help=f'of {known}; all where left out')
+    parser.add_argument('--results', help='JSON to write, of all benchmarks')
     options = parser.parse_args()
+    if not set(options.names) <= set(BENCHMARKS) or (options.names and options.results):
+        parser.error(f'expected names of {known}, and --results without any')
     rows = []
     with single_threaded_algebra():
-        for benchmark in BENCHMARKS:
-            rows += benchmark.measure()
+        for name in options.names or BENCHMARKS:
+            rows += import_module(name).measure()
     for row in rows:
         print(
-            f'{row["benchmark"]:<28}{1e3 * row["ours_median_s"]:>10.3f} ms   '
-            f'{row["peer"]:<34}{1e3 * row["peer_median_s"]:>10.3f} ms   ratio {row["ratio"]:.1f}'
+            f'{row["benchmark"]:<34}{1e3 * row["ours_median_s"]:>10.4g} ms   '
+            f'{row["peer"]:<34}{1e3 * row["peer_median_s"]:>10.4g} ms   ratio {row["ratio"]:.3g}'
         )
     if options.results:
         write_results(options.results, rows, seed=0)
