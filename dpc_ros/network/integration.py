@@ -58,6 +58,7 @@ class Integrator:
         self.step = float(step)
         self.method = method
         self._kernel = INTEGRATORS[method]
+        self._work = kernels.workspace(mechanics.arrays)  # new memory at each step costs time
 
     def advance(
         self,
@@ -73,6 +74,7 @@ class Integrator:
             velocity,
             force,
             self.step,
+            self._work,
         )
 
 

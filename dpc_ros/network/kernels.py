@@ -224,13 +224,14 @@ def damping_matrix(network, configuration):
 
 
 class Workspace(NamedTuple):
-    """What one evaluation of the acceleration fills; made once for many."""
+    """What evaluations of the acceleration and steps fill; made once for many."""
 
     state: np.ndarray  # (masses, 4), place [m] and velocity [m/s] of each
     force: np.ndarray  # (masses, 2) [N]
     ends: np.ndarray  # (4, chunk), d of some springs [m] and its rate [m/s]
     stretch: np.ndarray  # (chunk,) force by d [N/m]
     pull: np.ndarray  # (2, chunk), force of each on its second end [N]
+    stages: np.ndarray  # (5, n), of a step: q, q̇ and q̈ of a stage, sums of q̇ and q̈ over all
 
 
 @njit(cache=True)
@@ -246,6 +247,7 @@ def workspace(network):
         np.empty((4, CHUNK)),
         np.empty(CHUNK),
         np.empty((2, CHUNK)),
+        np.empty((5, 2 * mobile)),
     )
 
 
@@ -321,14 +323,13 @@ def acceleration(network, gravity, configuration, velocity, force):
 
 
 @njit(cache=True)
-def rk4_step(network, gravity, configuration, velocity, force, step):
+def rk4_step(network, gravity, configuration, velocity, force, step, work):
     """Classical Runge–Kutta step of order four, the force held over it."""
-    work = workspace(network)
     half = 0.5 * step
     sixth = step / 6.0
     n = configuration.shape[0]
-    q, v, a = np.empty(n), np.empty(n), np.empty(n)  # of a stage
-    slope, rise = np.empty(n), np.empty(n)  # sums of q̇ and q̈ over the stages
+    q, v, a = work.stages[0], work.stages[1], work.stages[2]
+    slope, rise = work.stages[3], work.stages[4]
     accelerate(network, gravity, configuration, velocity, force, work, a)
     for i in range(n):
         slope[i], rise[i] = velocity[i], a[i]
@@ -341,14 +342,17 @@ def rk4_step(network, gravity, configuration, velocity, force, step):
             q[i] = configuration[i] + length * v[i]
             v[i] = velocity[i] + length * a[i]
     accelerate(network, gravity, q, v, force, work, a)
+    new_configuration, new_velocity = np.empty(n), np.empty(n)
     for i in range(n):
-        q[i] = configuration[i] + sixth * (slope[i] + v[i])
-        v[i] = velocity[i] + sixth * (rise[i] + a[i])
-    return q, v
+        new_configuration[i] = configuration[i] + sixth * (slope[i] + v[i])
+        new_velocity[i] = velocity[i] + sixth * (rise[i] + a[i])
+    return new_configuration, new_velocity
 
 
 @njit(cache=True)
-def symplectic_euler_step(network, gravity, configuration, velocity, force, step):
+def symplectic_euler_step(network, gravity, configuration, velocity, force, step, work):
     """Symplectic Euler step of order one: velocity first, then position with the new velocity."""
-    new_velocity = velocity + step * acceleration(network, gravity, configuration, velocity, force)
+    rise = work.stages[2]
+    accelerate(network, gravity, configuration, velocity, force, work, rise)
+    new_velocity = velocity + step * rise
     return configuration + step * new_velocity, new_velocity
