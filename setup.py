@@ -79,6 +79,7 @@ setup(
             'colcon-common-extensions',
             'colcon-ros',
             'hypothesis',
+            'mujoco',
             'mypy',
             'psutil',
             'pyarrow',

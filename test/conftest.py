@@ -34,6 +34,7 @@ from xdist.scheduler import LoadScopeScheduling
 SHAPE_CHECKED = (
     'dpc_ros.network.mechanics',
     'dpc_ros.network.integration',
+    'dpc_ros.network.many',
     'dpc_ros.network.body',
     'dpc_ros.autoencoder.flat',
     'dpc_ros.autoencoder.flat_module',

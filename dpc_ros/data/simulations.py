@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
 from dpc_ros.data.conditions import Condition, test_conditions, training_conditions
-from dpc_ros.network import Integrator, MassSpringNetwork, Mechanics, Trajectory, simulate
+from dpc_ros.network import (
+    Integrator,
+    MassSpringNetwork,
+    Mechanics,
+    Trajectory,
+    simulate_many,
+)
 
 DURATION = 5.0  # s, of every simulation of the paper
 STEP = 0.005  # s
+_BESIDE = 16  # series simulated at once: the trajectories of all of them are kept meanwhile
 
 
 def simulate_conditions(
@@ -20,7 +29,10 @@ def simulate_conditions(
     step: float = STEP,
     method: str = 'rk4',
 ) -> Iterator[tuple[Condition, Trajectory]]:
-    """Simulate the conditions in their order, without any input force.
+    """Simulate the conditions, without any input force; they come in their order.
+
+    Those that start from rest begin series that don't depend on each other: several of them run
+    side by side, on all cores.
 
     Args:
         network: the body.
@@ -36,22 +48,56 @@ def simulate_conditions(
         ValueError: a simulation diverges: the body is too stiff for the step.
     """
     steps = round(duration / step)
-    at_rest = np.zeros(network.configuration_size)
-    configuration, velocity = network.rest_configuration, at_rest
+    series: list[list[Condition]] = []
     for condition in conditions:
-        if condition.start == 'rest':
-            configuration, velocity = network.rest_configuration, at_rest
-        elif condition.start == 'previous_end':
-            velocity = at_rest
-        integrator = Integrator(Mechanics(network, condition.gravity), step, method)
-        trajectory = simulate(integrator, configuration, velocity, steps)
-        configuration, velocity = trajectory.configuration[-1], trajectory.velocity[-1]
-        if not (np.isfinite(configuration).all() and np.isfinite(velocity).all()):
-            raise ValueError(
-                f'simulation {condition.simulation} of {network.name} diverged at a step of '
-                f'{step} s: is the body too stiff, or too strongly damped, for that step?'
-            )
-        yield condition, trajectory
+        if condition.start == 'rest' or not series:
+            series.append([])
+        series[-1].append(condition)
+    for begin in range(0, len(series), _BESIDE):
+        beside = series[begin : begin + _BESIDE]
+        found = _simulate_series(network, beside, steps, step, method)
+        for condition, trajectory in zip(chain(*beside), chain(*found), strict=True):
+            last = trajectory.configuration[-1], trajectory.velocity[-1]
+            if not np.isfinite(last).all():
+                raise ValueError(
+                    f'simulation {condition.simulation} of {network.name} diverged at a step of '
+                    f'{step} s: is the body too stiff, or too strongly damped, for that step?'
+                )
+            yield condition, trajectory
+
+
+def _simulate_series(
+    network: MassSpringNetwork,
+    series: Sequence[Sequence[Condition]],
+    steps: int,
+    step: float,
+    method: str,
+) -> list[list[Trajectory]]:
+    """Simulate the first conditions of all series at once, then their second ones, and so on."""
+    found: list[list[Trajectory]] = [[] for _ in series]
+    cores = len(os.sched_getaffinity(0))
+    for place in range(max(map(len, series))):
+        running = [k for k, conditions in enumerate(series) if place < len(conditions)]
+        integrators, starts = [], []
+        for k in running:
+            condition = series[k][place]
+            integrators.append(Integrator(Mechanics(network, condition.gravity), step, method))
+            starts.append(_start(network, condition, found[k]))
+        configurations, velocities = (np.array(part) for part in zip(*starts, strict=True))
+        trajectories = simulate_many(integrators, configurations, velocities, steps, threads=cores)
+        for k, trajectory in zip(running, trajectories, strict=True):
+            found[k].append(trajectory)
+    return found
+
+
+def _start(
+    network: MassSpringNetwork, condition: Condition, before: list[Trajectory]
+) -> tuple[np.ndarray, np.ndarray]:
+    at_rest = np.zeros(network.configuration_size)
+    if not before:
+        return network.rest_configuration, at_rest
+    velocity = before[-1].velocity[-1] if condition.start == 'continue' else at_rest
+    return before[-1].configuration[-1], velocity
 
 
 def simulate_condition(network: MassSpringNetwork, number: int) -> tuple[Condition, Trajectory]:

@@ -4,6 +4,7 @@ from .body import Body
 from .drawing import draw_figure, draw_network, draw_springs
 from .generator import GeneratorSettings, generate_network
 from .integration import INTEGRATORS, Integrator, Trajectory, simulate
+from .many import simulate_many
 from .mass_spring_network import (
     DAMPING_KINDS,
     MassSpringNetwork,
@@ -32,4 +33,5 @@ __all__ = [
     'load_network',
     'save_network',
     'simulate',
+    'simulate_many',
 ]

@@ -12,8 +12,8 @@ from dpc_ros.network import kernels
 from dpc_ros.network.mechanics import Mechanics
 
 INTEGRATORS: dict[str, Callable] = {
-    'rk4': kernels.rk4_step,
-    'symplectic_euler': kernels.symplectic_euler_step,
+    'rk4': kernels.rk4,
+    'symplectic_euler': kernels.symplectic_euler,
 }
 
 
@@ -58,6 +58,7 @@ class Integrator:
         self.step = float(step)
         self.method = method
         self._kernel = INTEGRATORS[method]
+        self._work = kernels.workspace(mechanics.arrays)  # new memory at each step costs time
 
     def advance(
         self,
@@ -66,13 +67,32 @@ class Integrator:
         force: Float[np.ndarray, ' n'],
     ) -> tuple[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']]:
         """Return (q, q̇) one step later, the external force [N] held over the step."""
-        return self._kernel(
+        frames = np.empty((2, 2, len(configuration)))
+        frames[:, 0] = configuration, velocity
+        self.fill(frames[0], frames[1], force)
+        return frames[0, 1], frames[1, 1]
+
+    def fill(
+        self,
+        configurations: Float[np.ndarray, 'frames n'],
+        velocities: Float[np.ndarray, 'frames n'],
+        force: Float[np.ndarray, ' n'],
+    ) -> None:
+        """Fill the states from the second on, each a step after the one before it.
+
+        Args:
+            configurations: q of each state, the first one given [m].
+            velocities: q̇ of each state, the first one given [m/s].
+            force: external force, held over all steps [N].
+        """
+        self._kernel(
             self.mechanics.arrays,
             self.mechanics.gravity_vector,
-            configuration,
-            velocity,
             force,
             self.step,
+            self._work,
+            configurations,
+            velocities,
         )
 
 
@@ -97,8 +117,5 @@ def simulate(
     configurations = np.empty((steps + 1, len(configuration)))
     velocities = np.empty_like(configurations)
     configurations[0], velocities[0] = configuration, velocity
-    for k in range(steps):
-        configurations[k + 1], velocities[k + 1] = integrator.advance(
-            configurations[k], velocities[k], force
-        )
+    integrator.fill(configurations, velocities, force)
     return Trajectory(integrator.step, configurations, velocities)

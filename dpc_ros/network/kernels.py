@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+CHUNK = 256  # springs whose part of a workspace stays in the nearest cache
+
 
 class NetworkArrays(NamedTuple):
     """What the kernels need of a network; masses renumbered, mobile first."""
@@ -222,13 +224,14 @@ def damping_matrix(network, configuration):
 
 
 class Workspace(NamedTuple):
-    """What one evaluation of the acceleration fills; made once for many."""
+    """What evaluations of the acceleration and steps fill; made once for many."""
 
     state: np.ndarray  # (masses, 4), place [m] and velocity [m/s] of each
     force: np.ndarray  # (masses, 2) [N]
-    ends: np.ndarray  # (4, springs), d of each [m] and its rate [m/s]
-    force_density: np.ndarray  # (springs,) force by length [N/m]
-    pull: np.ndarray  # (2, springs), force of each on its second end [N]
+    ends: np.ndarray  # (4, chunk), d of some springs [m] and its rate [m/s]
+    force_density: np.ndarray  # (chunk,) force by length [N/m]
+    pull: np.ndarray  # (2, chunk), force of each on its second end [N]
+    stages: np.ndarray  # (5, n), of a step: q, q̇ and q̈ of a stage, sums of q̇ and q̈ over all
 
 
 @njit(cache=True)
@@ -236,15 +239,15 @@ def workspace(network):
     """Return a workspace for a network."""
     mobile = network.mobile_mass.shape[0]
     masses = mobile + network.fixed_position.shape[0]
-    springs = network.first.shape[0]
     state = np.zeros((masses, 4))
     state[mobile:, :2] = network.fixed_position
     return Workspace(
         state,
         np.zeros((masses, 2)),
-        np.empty((4, springs)),
-        np.empty(springs),
-        np.empty((2, springs)),
+        np.empty((4, CHUNK)),
+        np.empty(CHUNK),
+        np.empty((2, CHUNK)),
+        np.empty((5, 2 * mobile)),
     )
 
 
@@ -252,7 +255,8 @@ def workspace(network):
 def accelerate(network, gravity, configuration, velocity, force, work, result):
     """Fill `result` (n,) with q̈ = M⁻¹(−∇V(q) − C(q) q̇ + f) [m/s²]; f is the force (n,) [N].
 
-    What goes by spring is gathered first, so that the arithmetic runs over whole arrays.
+    What goes by spring is gathered first, so that the arithmetic runs over whole arrays: of a chunk
+    of springs at a time, which the nearest cache holds.
     """
     mobile = network.mobile_mass.shape[0]
     for i in range(mobile):
@@ -260,17 +264,20 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
             work.state[i, axis] = configuration[2 * i + axis]
             work.state[i, 2 + axis] = velocity[2 * i + axis]
             work.force[i, axis] = force[2 * i + axis]
-    for j in range(network.first.shape[0]):
+    springs = network.first.shape[0]
+    for begin in range(0, springs, CHUNK):
         # Unsigned, so that no index has to be looked at for counting from the end.
-        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
-        for part in range(4):
-            work.ends[part, j] = work.state[a, part] - work.state[b, part]
-    _pull(network, work.ends[:2], work.ends[2:], work.force_density, work.pull)
-    for j in range(network.first.shape[0]):
-        a, b = np.uintp(network.first[j]), np.uintp(network.second[j])
-        for axis in range(2):
-            work.force[a, axis] -= work.pull[axis, j]
-            work.force[b, axis] += work.pull[axis, j]
+        start, count = np.uintp(begin), np.uintp(min(CHUNK, springs - begin))
+        for j in range(count):
+            a, b = np.uintp(network.first[start + j]), np.uintp(network.second[start + j])
+            for part in range(4):
+                work.ends[part, j] = work.state[a, part] - work.state[b, part]
+        _pull(network, start, count, work)
+        for j in range(count):
+            a, b = np.uintp(network.first[start + j]), np.uintp(network.second[start + j])
+            for axis in range(2):
+                work.force[a, axis] -= work.pull[axis, j]
+                work.force[b, axis] += work.pull[axis, j]
     for i in range(mobile):
         mass = network.mobile_mass[i]
         result[2 * i] = work.force[i, 0] / mass + gravity[0]
@@ -278,33 +285,30 @@ def accelerate(network, gravity, configuration, velocity, force, work, result):
 
 
 @njit(cache=True, error_model='numpy')
-def _pull(network, d, rate, force_density, pull):
-    """Fill `pull` (2, springs) with the force of each spring [N], from d and its rate.
+def _pull(network, start, count, work):
+    """Fill `work.pull` with the force of each spring of a chunk [N], from d and its rate.
 
     Each loop reads and writes few arrays, or the compiler would not run it in parallel lanes.
     """
-    springs = network.first.shape[0]
-    for j in range(springs):
-        length = np.sqrt(d[0, j] * d[0, j] + d[1, j] * d[1, j])
-        elastic = network.stiffness[j] * (1.0 - network.rest_length[j] / length)
-        force_density[j] = elastic if length > 0.0 else 0.0
+    d, rate = work.ends[:2], work.ends[2:]
+    force_density, pull = work.force_density, work.pull
+    for j in range(count):
+        square = d[0, j] * d[0, j] + d[1, j] * d[1, j]
+        inverse = 1.0 / np.sqrt(square)
+        inverse = inverse if square > 0.0 else 0.0
+        density = network.stiffness[start + j] * (1.0 - network.rest_length[start + j] * inverse)
+        if network.axial:
+            along = d[0, j] * rate[0, j] + d[1, j] * rate[1, j]
+            density += network.damping[start + j] * along * (inverse * inverse)
+        force_density[j] = density
     for axis in range(2):
-        for j in range(springs):
-            moved = d[axis, j] - network.background_vector[axis, j]
+        for j in range(count):
+            moved = d[axis, j] - network.background_vector[axis, start + j]
             pull[axis, j] = force_density[j] * d[axis, j] + network.background_stiffness * moved
-    if network.axial:
-        for j in range(springs):
-            square = d[0, j] * d[0, j] + d[1, j] * d[1, j]
-            fx, fy = network.damping[j] * rate[0, j], network.damping[j] * rate[1, j]
-            along = (d[0, j] * fx + d[1, j] * fy) / square
-            force_density[j] = along if square > 0.0 else 0.0
+    if not network.axial:
         for axis in range(2):
-            for j in range(springs):
-                pull[axis, j] += force_density[j] * d[axis, j]
-    else:
-        for axis in range(2):
-            for j in range(springs):
-                pull[axis, j] += network.damping[j] * rate[axis, j]
+            for j in range(count):
+                pull[axis, j] += network.damping[start + j] * rate[axis, j]
 
 
 @njit(cache=True)
@@ -316,34 +320,44 @@ def acceleration(network, gravity, configuration, velocity, force):
 
 
 @njit(cache=True)
-def rk4_step(network, gravity, configuration, velocity, force, step):
-    """Classical Runge–Kutta step of order four, the force held over it."""
-    work = workspace(network)
+def rk4(network, gravity, force, step, work, configurations, velocities):
+    """Fill the states (frames, n) from the second on: classical Runge–Kutta steps of order four.
+
+    The force (n,) [N] is held over all of them.
+    """
     half = 0.5 * step
     sixth = step / 6.0
-    n = configuration.shape[0]
-    q, v, a = np.empty(n), np.empty(n), np.empty(n)  # of a stage
-    slope, rise = np.empty(n), np.empty(n)  # sums of q̇ and q̈ over the stages
-    accelerate(network, gravity, configuration, velocity, force, work, a)
-    for i in range(n):
-        slope[i], rise[i] = velocity[i], a[i]
-        q[i], v[i] = configuration[i] + half * velocity[i], velocity[i] + half * a[i]
-    for length in (half, step):
+    n = configurations.shape[1]
+    q, v, a = work.stages[0], work.stages[1], work.stages[2]
+    slope, rise = work.stages[3], work.stages[4]
+    for k in range(configurations.shape[0] - 1):
+        configuration, velocity = configurations[k], velocities[k]
+        accelerate(network, gravity, configuration, velocity, force, work, a)
+        for i in range(n):
+            slope[i], rise[i] = velocity[i], a[i]
+            q[i], v[i] = configuration[i] + half * velocity[i], velocity[i] + half * a[i]
+        for length in (half, step):
+            accelerate(network, gravity, q, v, force, work, a)
+            for i in range(n):
+                slope[i] += 2.0 * v[i]
+                rise[i] += 2.0 * a[i]
+                q[i] = configuration[i] + length * v[i]
+                v[i] = velocity[i] + length * a[i]
         accelerate(network, gravity, q, v, force, work, a)
         for i in range(n):
-            slope[i] += 2.0 * v[i]
-            rise[i] += 2.0 * a[i]
-            q[i] = configuration[i] + length * v[i]
-            v[i] = velocity[i] + length * a[i]
-    accelerate(network, gravity, q, v, force, work, a)
-    for i in range(n):
-        q[i] = configuration[i] + sixth * (slope[i] + v[i])
-        v[i] = velocity[i] + sixth * (rise[i] + a[i])
-    return q, v
+            configurations[k + 1, i] = configuration[i] + sixth * (slope[i] + v[i])
+            velocities[k + 1, i] = velocity[i] + sixth * (rise[i] + a[i])
 
 
 @njit(cache=True)
-def symplectic_euler_step(network, gravity, configuration, velocity, force, step):
-    """Symplectic Euler step of order one: velocity first, then position with the new velocity."""
-    new_velocity = velocity + step * acceleration(network, gravity, configuration, velocity, force)
-    return configuration + step * new_velocity, new_velocity
+def symplectic_euler(network, gravity, force, step, work, configurations, velocities):
+    """Fill the states (frames, n) from the second on: symplectic Euler steps of order one.
+
+    Velocity first, then position with the new velocity; the force (n,) [N] is held over all steps.
+    """
+    rise = work.stages[2]
+    for k in range(configurations.shape[0] - 1):
+        accelerate(network, gravity, configurations[k], velocities[k], force, work, rise)
+        for i in range(configurations.shape[1]):
+            velocities[k + 1, i] = velocities[k, i] + step * rise[i]
+            configurations[k + 1, i] = configurations[k, i] + step * velocities[k + 1, i]

@@ -59,6 +59,20 @@ def test_each_runs_under_its_own_gravity(small_network):
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_series_side_by_side_come_in_order_and_as_alone(small_network):
+    series = [('rest', 'continue', 'previous_end')[: 1 + k % 3] for k in range(20)]
+    listed = conditions(*(start for each in series for start in each))
+    together = list(simulate_conditions(small_network, listed, DURATION, STEP))
+    assert [condition for condition, _ in together] == listed
+    for each in series:
+        alone = [listed.pop(0) for _ in each]
+        for condition, expected in simulate_conditions(small_network, alone, DURATION, STEP):
+            found, trajectory = together.pop(0)
+            assert found == condition
+            np.testing.assert_array_equal(trajectory.configuration, expected.configuration)
+            np.testing.assert_array_equal(trajectory.velocity, expected.velocity)
+
+
 def test_a_body_too_stiff_for_the_step_is_reported(small_network):
     stiff = replace(small_network, stiffness=1e12 * small_network.stiffness)
     with pytest.raises(ValueError, match=r'simulation 1 of grid diverged .* step of 0\.005 s'):
