@@ -4,7 +4,8 @@ For every callback rclpy's executors collect all entities (subscriptions, timers
 their nodes anew and wrap the callback in a task that wakes the executor twice more. That costs
 several times the hop of a message itself. `KeptWaitSetExecutor` collects them once and again only
 when they change. A node has some twenty services and events, which rcl has to be told of again for
-each wait: while messages come it waits on those without them, and looks at all now and then.
+each wait: while messages come it waits without them, and without what is in a `RareCallbackGroup`,
+and looks at all now and then.
 
 It relies on these names of rclpy that are not public, all alike in Jazzy and Kilted:
 
@@ -30,6 +31,7 @@ from contextlib import contextmanager, suppress
 from inspect import iscoroutinefunction
 from typing import Any, NamedTuple
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import (
@@ -69,6 +71,15 @@ class _Entity(NamedTuple):
     member: Any
     node: Node
     is_plain: bool  # a subscription whose callback is no coroutine: this is where messages pass
+
+
+class RareCallbackGroup(MutuallyExclusiveCallbackGroup):
+    """A group whose callbacks are in no hurry: while messages come they run only now and then."""
+
+
+def _is_urgent(entity: _Entity) -> bool:
+    is_rare = isinstance(entity.member.callback_group, RareCallbackGroup)
+    return entity.kind in _URGENT_KINDS and not is_rare
 
 
 class _KeptWaitSet:
@@ -414,7 +425,7 @@ class KeptWaitSetExecutor(Executor):
             return True
         if self._kept is None or self._urgent is None:
             entities = self._entities()
-            urgent = [entity for entity in entities if entity.kind in _URGENT_KINDS]
+            urgent = [entity for entity in entities if _is_urgent(entity)]
             self._kept = _KeptWaitSet(entities, [guard, interrupt], self._context)
             self._urgent = _KeptWaitSet(urgent, [guard, interrupt], self._context)
         kept, timeout_sec = self._next_wait(self._kept, self._urgent, timeout_sec)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from copy import copy
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -10,9 +12,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.network import load_network
+from dpc_ros.nodes.executor import RareCallbackGroup
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp, is_latent
 from dpc_ros.nodes.topics import TOPICS
@@ -26,12 +31,12 @@ class Monitor(Node):
 
     def __init__(self, plan: LaunchPlan, context: Context) -> None:
         super().__init__(LAUNCHER, context=context)
+        self._plan = plan
         self._newest: dict[str, bytes] = {}
-        self._start: np.ndarray | None = None
-        for topic in MONITORED:
-            self._subscribe(topic)
-        self._subscribe('target')
-        self._subscribe('target_in_force')
+        self._group = RareCallbackGroup()
+        self._inputs = {
+            topic: self._subscribe(topic) for topic in (*MONITORED, 'target', 'target_in_force')
+        }
         endless = not np.isfinite(plan.duration)
         self._bar = tqdm(
             total=None if endless else plan.duration,
@@ -64,6 +69,7 @@ class Monitor(Node):
     def close(self) -> None:
         """End the bar with what came last; the nodes are about to finish."""
         self._refresh.cancel()
+        self._take_what_is_left()
         self._show()
         self._bar.set_description_str('finishing')
         self._bar.close()
@@ -80,9 +86,8 @@ class Monitor(Node):
         shown = []
         configuration = np.array(state.position)
         target, answer = self._read('target'), self._read('control_force')
-        assert self._start is not None  # it came with the first configuration
-        if target is not None and len(target.position) == self._start.size == configuration.size:
-            begin = np.sum((self._start - target.position) ** 2)
+        if target is not None and len(target.position) == configuration.size == self._rest.size:
+            begin = np.sum((self._rest - target.position) ** 2)
             nmse = np.sum((configuration - target.position) ** 2) / begin if begin else np.nan
             shown.append(f'nMSE {nmse:.4f}')
         if answer is not None:
@@ -90,16 +95,26 @@ class Monitor(Node):
             shown.append(f'|u| {np.hypot(force.x, force.y):.2f} N')
         self._bar.set_postfix_str('  '.join(shown), refresh=True)
 
-    def _subscribe(self, topic: str) -> None:
-        def keep(data: bytes) -> None:
-            self._newest[topic] = data
-            # the first configuration is what the error is normalised by
-            if topic == 'configuration' and self._start is None:
-                state = self._read(topic)
-                self._start = None if state is None else np.array(state.position)
-
+    def _subscribe(self, topic: str) -> Subscription:
         entry = TOPICS[topic]
-        self.create_subscription(entry.message_type, topic, keep, entry.qos, raw=True)
+        qos = copy(entry.qos)
+        qos.depth = 1  # only the newest is of interest
+        keep = partial(self._newest.__setitem__, topic)
+        return self.create_subscription(
+            entry.message_type, topic, keep, qos, callback_group=self._group, raw=True
+        )
+
+    def _take_what_is_left(self) -> None:
+        for topic, subscription in self._inputs.items():
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is not None:
+                self._newest[topic], _ = taken
+
+    @cached_property
+    def _rest(self) -> np.ndarray:
+        """The configuration of the body at rest [m], from which a run begins."""
+        return load_network(self._plan.parameters['simulator']['network']).rest_configuration
 
     def _read(self, topic: str) -> Any:
         """Return the newest message of a topic; None where there is none, or none that is one."""

@@ -28,7 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Int64
 from std_srvs.srv import SetBool, Trigger
 
-from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, RareCallbackGroup, make_executor
 
 EXECUTORS = ('kept_wait_set', 'single_threaded')
 GIVE_UP_S = 30.0
@@ -533,6 +533,24 @@ def test_busy_topic_starves_no_timer(ros):
     for number in range(DEPTH // 2):
         publisher.publish(Int64(data=number))
     ros.spin_until(lambda: len(ticks) >= 3)
+
+
+@pytest.mark.parametrize('ros', [('kept_wait_set', 0.0)], indirect=True)
+def test_busy_topic_starves_no_rare_callback(ros):
+    node = ros.node('both')
+    publisher = node.create_publisher(Int64, 'numbers', DEPTH)
+    node.create_subscription(Int64, 'numbers', publisher.publish, DEPTH)
+    found = []
+    group = RareCallbackGroup()
+    for kind in ('newest', 'all'):
+        depth = 1 if kind == 'newest' else DEPTH
+        node.create_subscription(
+            Int64, 'numbers', lambda _, kind=kind: found.append(kind), depth, callback_group=group
+        )
+    node.create_timer(0.001, lambda: found.append('timer'), callback_group=group)
+    ros.spin_until_matched(publisher)
+    publisher.publish(Int64())
+    ros.executor.spin_until(lambda: all(found.count(k) > 3 for k in ('newest', 'all', 'timer')))
 
 
 @pytest.mark.parametrize('what', ['executor', 'context'])
