@@ -54,13 +54,14 @@ PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet 
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
 INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation --editable
 
-.PHONY: help demo test test-long venv clean
+.PHONY: help demo test test-long bench venv clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
 	@echo 'make test   run linters, type checks and all tests'
 	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json'
+	@echo 'make bench  measure everything beside its peers; write docs/results/benchmarks.json'
 	@echo 'make venv   only install, into $(VENV)'
 	@echo 'make clean  remove .venv* and what the tools left (runs/ stays)'
 
@@ -76,6 +77,10 @@ test: $(VENV)/test.stamp
 test-long: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -m 'long or faults' --repetitions 50 \
 		--fault-results docs/results/faults.json $(ARGS)
+	$(BIN)/dpc paper tables
+
+bench: $(VENV)/test.stamp
+	$(BIN)/python test/benchmarks/run.py $(or $(ARGS),--results docs/results/benchmarks.json)
 	$(BIN)/dpc paper tables
 
 venv: $(VENV)/test.stamp

@@ -17,7 +17,8 @@ from dpc_ros.paper.published import (
 )
 
 Rows = list[dict[str, Any]]
-PAGES = ('experiments.md', 'control.md', '../README.md')  # beside the results
+# Beside the results.
+PAGES = ('experiments.md', 'control.md', 'reliability.md', 'performance.md', '../README.md')
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
@@ -407,6 +408,17 @@ def _faults(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _benchmarks(rows: Rows) -> str:
+    header = ['benchmark', 'ours', 'beside', 'theirs', 'ratio', 'goal']
+    body = []
+    for row in rows:
+        ours, theirs = (_quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
+        goal = '' if row['goal'] is None else _short(row['goal'])
+        name = row['benchmark'].replace('_', ' ')
+        body.append([name, ours, row['peer'], theirs, _short(row['ratio']), goal])
+    return _markdown(header, body)
+
+
 _TABLES: dict[str, Callable[[Rows], str]] = {
     'reproduction': _reproduction,
     'ours': _ours,
@@ -424,6 +436,7 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'reachable': _reachable,
     'failures': _failures,
     'faults': _faults,
+    'benchmarks': _benchmarks,
 }
 
 
@@ -438,6 +451,10 @@ def _percent(value: float | None) -> str:
 def _short(value: float | None) -> str:
     """Return three digits; what is infinite stands as null in the files."""
     return '∞' if value is None else f'{value:.3g}'
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f'{1e3 * value:.3g} ms' if unit == 's' else f'{value:.2g} {unit}'
 
 
 def _milliseconds(value: float | None) -> str:

@@ -10,11 +10,13 @@ import tempfile
 from pathlib import Path
 
 from processes import end, nodes_of, plan_of, start
+from side_by_side import row
 
 from dpc_ros.resources import config_path
 
 REPETITIONS = 3
 TRIPS = 3000
+GOAL = 1 / 1.5  # at most that many times the floor
 WARM_UP = 200  # round trips
 RATE = 200.0  # Hz
 HERE = Path(__file__).parent
@@ -55,12 +57,8 @@ def measure(repetitions=REPETITIONS, trips=TRIPS):
 def _row(benchmark, peer, ours, others):
     median, peer_median = statistics.median(ours), statistics.median(others)
     p99, peer_p99 = (statistics.quantiles(each, n=100)[-1] for each in (ours, others))
-    return {
-        'benchmark': benchmark,
-        'ours_median_s': median,
-        'peer': peer,
-        'peer_median_s': peer_median,
-        'ratio': peer_median / median,
+    goal = GOAL if peer == FLOOR else None
+    return row(benchmark, peer, median, peer_median, goal=goal) | {
         'over_peer': median / peer_median,
         'ours_p99_s': p99,
         'peer_p99_s': peer_p99,

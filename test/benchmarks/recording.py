@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 from processes import nodes_of, plan_of
+from side_by_side import row
 
 from dpc_ros.bag import read_run
 from dpc_ros.bag.mcap_file import read_messages
@@ -31,12 +32,8 @@ def measure():
 
 def _row(rate, runs):
     share = statistics.median(run['share'] for run in runs)
-    return {
-        'benchmark': f'recorder_{rate:g}_hz',
-        'ours_median_s': share,
-        'peer': 'a quarter of a core',
-        'peer_median_s': QUARTER_OF_A_CORE,
-        'ratio': QUARTER_OF_A_CORE / share,
+    name, peer = f'recorder_{rate:g}_hz', 'a quarter of a core'
+    return row(name, peer, share, QUARTER_OF_A_CORE, 'cores') | {
         'rate_sustained_Hz': statistics.median(run['rate'] for run in runs),
         'messages': sum(run['messages'] for run in runs),
         'lost': sum(run['lost'] for run in runs),

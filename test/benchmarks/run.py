@@ -5,12 +5,19 @@
 Those without ROS are in one process, on one thread unless their name says another number. The
 ratio of the medians is what counts: the times are this machine's. What both compute is compared
 first. With names, as `body_step`, only those are run, and written.
+
+Beside each ratio stands the one that docs/results/benchmarks.json has; where one has become worse
+by more than measurements differ, the exit code is 1.
 """
 
 import argparse
+import sys
 from importlib import import_module
+from pathlib import Path
 
-from dpc_ros.results import write_results
+from tqdm import tqdm
+
+from dpc_ros.results import read_results, write_results
 from dpc_ros.threads import single_threaded_algebra
 
 BENCHMARKS = (
@@ -28,6 +35,10 @@ BENCHMARKS = (
 )
 
 
+KNOWN = Path(__file__).parents[2] / 'docs' / 'results' / 'benchmarks.json'
+WORSE = 1.5  # times: medians of one machine differ by less, but for those of a few seconds
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     known = ', '.join(BENCHMARKS)
@@ -37,17 +48,31 @@ def main():
     unknown = [name for name in options.names if name not in BENCHMARKS]
     if unknown:
         parser.error(f'no benchmark {unknown[0]!r}: choose of {known}')
+    before = {_key(row): row['ratio'] for row in read_results(KNOWN)} if KNOWN.exists() else {}
     rows = []
     with single_threaded_algebra():
-        for name in options.names or BENCHMARKS:
+        for name in tqdm(options.names or BENCHMARKS, unit='benchmark'):
             rows += import_module(name).measure()
+    print(f'{"":<36}{"":>13}   {"beside":<40}{"":>13}   ratio   before')
     for row in rows:
-        print(
-            f'{row["benchmark"]:<36}{1e3 * row["ours_median_s"]:>10.4g} ms   '
-            f'{row["peer"]:<40}{1e3 * row["peer_median_s"]:>10.4g} ms   ratio {row["ratio"]:.3g}'
-        )
+        ours, peer = (_quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
+        ratio, known_ratio = f'{row["ratio"]:.3g}', before.get(_key(row))
+        known_ratio = '–' if known_ratio is None else f'{known_ratio:.3g}'
+        what = f'{row["benchmark"]:<36}{ours:>13}   {row["peer"]:<40}{peer:>13}'
+        print(f'{what}   {ratio:<7} {known_ratio}')
     if options.results:
         write_results(options.results, rows, seed=0)
+    slower = [row for row in rows if row['ratio'] * WORSE < before.get(_key(row), 0.0)]
+    if slower:
+        sys.exit('slower than before: ' + ', '.join(row['benchmark'] for row in slower))
+
+
+def _key(row):
+    return row['benchmark'], row['peer']
+
+
+def _quantity(value, unit):
+    return f'{1e3 * value:.4g} ms' if unit == 's' else f'{value:.4g} {unit}'
 
 
 if __name__ == '__main__':

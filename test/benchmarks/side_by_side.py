@@ -21,12 +21,23 @@ def side_by_side(ours, peer, repetitions, calls=1):
     return statistics.median(seconds[ours]), statistics.median(seconds[peer])
 
 
-def row(benchmark, peer, ours_median, peer_median):
-    """Return the row of docs/results/benchmarks.json."""
+def row(benchmark, peer, ours_median, peer_median, unit='s', goal=None):
+    """Return the row of docs/results/benchmarks.json.
+
+    Args:
+        benchmark: its name.
+        peer: what stands beside ours.
+        ours_median: of our measurements.
+        peer_median: of those of the peer.
+        unit: of both.
+        goal: what the ratio, peer to ours, should reach.
+    """
     return {
         'benchmark': benchmark,
-        'ours_median_s': ours_median,
+        'unit': unit,
+        'ours_median': ours_median,
         'peer': peer,
-        'peer_median_s': peer_median,
+        'peer_median': peer_median,
         'ratio': peer_median / ours_median,
+        'goal': goal,
     }

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from processes import end, plan_of, start
+from side_by_side import row
 
 from dpc_ros.bag.mcap_file import read_raw
 from dpc_ros.nodes.launch_plan import NODES
@@ -42,15 +43,7 @@ def measure(repetitions=REPETITIONS):
     rows = []
     for name, values in found.items():
         seconds, memory = _medians(values)
-        rows.append(
-            {
-                'benchmark': f'start_up_{name}',
-                'ours_median_s': seconds,
-                'peer': PEER,
-                'peer_median_s': peer,
-                'ratio': peer / seconds,
-            }
-        )
+        rows.append(row(f'start_up_{name}', PEER, seconds, peer))
         if memory is not None:
             rows[-1] |= {'peak_memory_MiB': memory, 'peer_peak_memory_MiB': peer_memory}
     return rows
