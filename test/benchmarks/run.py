@@ -25,6 +25,7 @@ BENCHMARKS = (
     'body_accuracy',
     'body_scaling',
     'body_many',
+    'compressed',
     'latent_dynamics',
     'graph_training',
     'closed_loop',
