@@ -19,6 +19,7 @@ from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
     from_stamp,
+    hear_controller,
     latent_names,
     read_force,
     read_stamp,
@@ -144,9 +145,7 @@ class EncoderNode(LoopNode):
                 return
             if stamp > newest:
                 raise MessageError('its stamp is that of no state so far')
-            now = self.steady_time()
-            self._controllers.hear(frame.controller, now)
-            self._check_controllers(now)
+            hear_controller(self._controllers, frame, self.steady_time())
             if frame.is_release:
                 return
         except MessageError as error:
@@ -170,12 +169,6 @@ class EncoderNode(LoopNode):
                 raise MessageError(
                     f'expected a {name} of at most {largest:g} {unit}, got {found:g}'
                 )
-
-    def _check_controllers(self, now: float) -> None:
-        """Believe of two controllers neither, as the simulator does."""
-        conflict = self._controllers.conflict(now)
-        if conflict:
-            raise MessageError(f'{conflict}: stop one of them')
 
     def _watch(self) -> None:
         """Report where no configuration has come for too long; nothing is published meanwhile."""

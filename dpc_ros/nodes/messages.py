@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -17,6 +17,9 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
 from dpc_ros.bag.topic import LATENT_PREFIX, NANOSECONDS
+
+if TYPE_CHECKING:
+    from dpc_ros.control import Controllers
 
 
 class MessageError(ValueError):
@@ -124,6 +127,18 @@ def read_force(message: WrenchStamped) -> tuple[ForceFrame, Float[np.ndarray, ' 
     if force.z != 0 or torque.x != 0 or torque.y != 0 or torque.z != 0:
         raise MessageError('expected a force in the plane: its z and the torque must be zero')
     return frame, finite(array('d', (force.x, force.y)), 2, 'force components')
+
+
+def hear_controller(controllers: Controllers, frame: ForceFrame, now: float) -> None:
+    """Note that a force of a controller has come at a time [s] of a steady clock.
+
+    Raises:
+        MessageError: there is another one: of two, neither is believed.
+    """
+    controllers.hear(frame.controller, now)
+    conflict = controllers.conflict(now)
+    if conflict:
+        raise MessageError(f'{conflict}: stop one of them')
 
 
 def is_latent(target: JointState) -> bool:

@@ -24,6 +24,7 @@ from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
+    hear_controller,
     read_force,
     read_stamp,
     state_message,
@@ -143,9 +144,7 @@ class SimulatorNode(LoopNode):
             stamp = read_stamp(message.header.stamp)
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
-            now = self.steady_time()
-            self._controllers.hear(frame.controller, now)
-            self._check_controllers(now)
+            hear_controller(self._controllers, frame, self.steady_time())
             if self._is_passed(stamp) or (frame.is_release and not self._realtime):
                 self.health.repeated += 1
                 return
@@ -165,11 +164,6 @@ class SimulatorNode(LoopNode):
             self._start_stepping()
         elif not self._paused:
             self._advance()
-
-    def _check_controllers(self, now: float) -> None:
-        conflict = self._controllers.conflict(now)
-        if conflict:
-            raise MessageError(f'{conflict}: stop one of them')
 
     def _is_passed(self, stamp: int) -> bool:
         """Return whether a force comes too late to count, or a second time.
