@@ -18,7 +18,7 @@ from dpc_ros.bag.metadata import (
 )
 from dpc_ros.bag.topic import Topic
 
-DEFAULT_CHUNK_SIZE = 256 * 1024  # bytes
+DEFAULT_CHUNK_SIZE = 512 * 1024  # bytes
 
 
 class BagWriter:
