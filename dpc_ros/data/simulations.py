@@ -19,7 +19,8 @@ from dpc_ros.network import (
 
 DURATION = 5.0  # s, of every simulation of the paper
 STEP = 0.005  # s
-_BESIDE = 16  # series simulated at once: the trajectories of all of them are kept meanwhile
+_MOST_BESIDE = 16  # series simulated at once
+_MOST_MEMORY = 5e8  # bytes of their trajectories, which are kept meanwhile
 
 
 def simulate_conditions(
@@ -53,17 +54,13 @@ def simulate_conditions(
         if condition.start == 'rest' or not series:
             series.append([])
         series[-1].append(condition)
-    for begin in range(0, len(series), _BESIDE):
-        beside = series[begin : begin + _BESIDE]
+    longest = max(map(len, series), default=1)
+    memory = longest * 16 * (steps + 1) * network.configuration_size  # of the states of a series
+    count = max(1, min(_MOST_BESIDE, int(_MOST_MEMORY / memory)))
+    for begin in range(0, len(series), count):
+        beside = series[begin : begin + count]
         found = _simulate_series(network, beside, steps, step, method)
-        for condition, trajectory in zip(chain(*beside), chain(*found), strict=True):
-            last = trajectory.configuration[-1], trajectory.velocity[-1]
-            if not np.isfinite(last).all():
-                raise ValueError(
-                    f'simulation {condition.simulation} of {network.name} diverged at a step of '
-                    f'{step} s: is the body too stiff, or too strongly damped, for that step?'
-                )
-            yield condition, trajectory
+        yield from zip(chain(*beside), chain(*found), strict=True)
 
 
 def _simulate_series(
@@ -86,6 +83,11 @@ def _simulate_series(
         configurations, velocities = (np.array(part) for part in zip(*starts, strict=True))
         trajectories = simulate_many(integrators, configurations, velocities, steps, threads=cores)
         for k, trajectory in zip(running, trajectories, strict=True):
+            if not np.isfinite([trajectory.configuration[-1], trajectory.velocity[-1]]).all():
+                raise ValueError(
+                    f'simulation {series[k][place].simulation} of {network.name} diverged at a '
+                    f'step of {step} s: is the body too stiff, or too strongly damped, for it?'
+                )
             found[k].append(trajectory)
     return found
 

@@ -58,7 +58,8 @@ class Integrator:
         self.step = float(step)
         self.method = method
         self._kernel = INTEGRATORS[method]
-        self._work = kernels.workspace(mechanics.arrays)  # new memory at each step costs time
+        # New memory at each step costs time. Threads may share it: the kernels keep the GIL.
+        self._work = kernels.workspace(mechanics.arrays)
 
     def advance(
         self,
@@ -84,7 +85,17 @@ class Integrator:
             configurations: q of each state, the first one given [m].
             velocities: q̇ of each state, the first one given [m/s].
             force: external force, held over all steps [N].
+
+        Raises:
+            ValueError: their shapes do not fit each other and the body.
         """
+        n = self.mechanics.network.configuration_size
+        fits = configurations.shape == velocities.shape == (len(configurations), n)
+        if not fits or force.shape != (n,):
+            raise ValueError(
+                f'expected states (frames, {n}) and a force of {n}, got {configurations.shape}, '
+                f'{velocities.shape} and {force.shape}'
+            )
         self._kernel(
             self.mechanics.arrays,
             self.mechanics.gravity_vector,

@@ -33,6 +33,9 @@ def simulate_many(
         forces: external force on each over all steps [N], zero where left out.
         threads: how many cores to use.
 
+    Returns:
+        one trajectory each; those that were side by side share memory.
+
     Raises:
         ValueError: the integrators differ in more than gravity, or the counts do not fit.
     """
@@ -49,15 +52,21 @@ def simulate_many(
     if forces is None:
         forces = np.zeros_like(configurations)
     count = len(integrators)
-    size = min(LANES, max(_FEWEST_LANES, -(-count // threads)))
+    if count:
+        n = integrators[0].mechanics.network.configuration_size
+        shapes = {np.shape(each) for each in (configurations, velocities, forces)}
+        if shapes != {(count, n)}:
+            raise ValueError(f'expected states and forces of the shape {(count, n)}, got {shapes}')
+    # As many as fill the lanes, or as many as there are threads, unless they would be few.
+    parts = max(1, -(-count // LANES), min(threads, count // _FEWEST_LANES))
 
     def run(part: np.ndarray) -> list[Trajectory]:
-        chosen = [integrators[i] for i in part]
-        return _simulate_part(chosen, configurations[part], velocities[part], steps, forces[part])
+        own = [integrators[i] for i in part]
+        return _simulate_part(own, configurations[part], velocities[part], steps, forces[part])
 
-    parts = np.array_split(np.arange(count), -(-count // size)) if count else []
+    chosen = np.array_split(np.arange(count), parts) if count else []
     with ThreadPoolExecutor(threads) as executor:
-        return [trajectory for done in executor.map(run, parts) for trajectory in done]
+        return [trajectory for done in executor.map(run, chosen) for trajectory in done]
 
 
 def _simulate_part(

@@ -74,7 +74,11 @@ class _Entity(NamedTuple):
 
 
 class RareCallbackGroup(MutuallyExclusiveCallbackGroup):
-    """A group whose callbacks are in no hurry: while messages come they run only now and then."""
+    """A group whose callbacks are in no hurry: while messages come they run only now and then.
+
+    A subscription takes one message each time: of a busy topic it can follow only the newest one,
+    with a depth of one.
+    """
 
 
 def _is_urgent(entity: _Entity) -> bool:
@@ -281,7 +285,9 @@ class KeptWaitSetExecutor(Executor):
             super().spin()
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
-        """Run callbacks until a condition holds, which is looked at after each of them.
+        """Run callbacks until a condition holds, or the executor is shut down.
+
+        The condition is looked at after each callback.
 
         Args:
             condition: where nothing happens, it is looked at within `LONGEST_WAIT_S`.
@@ -290,7 +296,7 @@ class KeptWaitSetExecutor(Executor):
             ExternalShutdownException: the context was shut down.
         """
         with self._holding():
-            while not condition():
+            while not (self._is_shutdown or condition()):
                 self._spin_once(LONGEST_WAIT_S, lambda: False)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
@@ -428,7 +434,8 @@ class KeptWaitSetExecutor(Executor):
             urgent = [entity for entity in entities if _is_urgent(entity)]
             self._kept = _KeptWaitSet(entities, [guard, interrupt], self._context)
             self._urgent = _KeptWaitSet(urgent, [guard, interrupt], self._context)
-        kept, timeout_sec = self._next_wait(self._kept, self._urgent, timeout_sec)
+        every = self._kept
+        kept, timeout_sec = self._next_wait(every, self._urgent, timeout_sec)
         # Only a suspended coroutine, or a callback that spins itself, keeps a group busy.
         restricted = bool(self._tasks) or self._running > 0
         try:
@@ -440,7 +447,7 @@ class KeptWaitSetExecutor(Executor):
                 return True
             if not self._context.ok():
                 raise ExternalShutdownException
-            if guard.handle.pointer in guards_ready and self._entities() != self._kept.entities:
+            if guard.handle.pointer in guards_ready and self._entities() != every.entities:
                 self._forget_wait_set()
                 return False
             ready = kept.ready_entities()
@@ -448,7 +455,7 @@ class KeptWaitSetExecutor(Executor):
             if not self._holds_between_waits:
                 kept.release()
         self._ready.extend(ready)
-        if kept is self._kept and any(entity.kind == 'subscription' for entity in ready):
+        if kept is every and any(entity.kind == 'subscription' for entity in ready):
             self._urgent_until = time.monotonic() + _RARE_PERIOD
         return True
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -178,10 +177,9 @@ def finite(values: array, size: int, what: str) -> np.ndarray:
     if len(values) != size:
         raise MessageError(f'expected {size} {what}, got {len(values)}')
     result = np.frombuffer(values) if size else np.empty(0)
-    if not math.isfinite(result.dot(result)):  # or the square of a large one is not
-        bad = np.flatnonzero(~np.isfinite(result))
-        if bad.size:
-            raise MessageError(f'expected finite {what}, but number {bad[0]} is {result[bad[0]]}')
+    if not np.isfinite(result).all():
+        bad = int(np.flatnonzero(~np.isfinite(result))[0])
+        raise MessageError(f'expected finite {what}, but number {bad} is {result[bad]}')
     return result
 
 

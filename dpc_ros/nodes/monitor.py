@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from copy import copy
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from rclpy.subscription import Subscription
 from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.network import load_network
 from dpc_ros.nodes.executor import RareCallbackGroup
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp, is_latent
@@ -31,8 +30,12 @@ class Monitor(Node):
 
     def __init__(self, plan: LaunchPlan, context: Context) -> None:
         super().__init__(LAUNCHER, context=context)
-        self._plan = plan
         self._newest: dict[str, bytes] = {}
+        self._start: np.ndarray | None = None  # what the error is normalised by
+        entry = TOPICS['configuration']
+        self._first = self.create_subscription(
+            entry.message_type, 'configuration', self._begin, entry.qos, raw=True
+        )
         self._group = RareCallbackGroup()
         self._inputs = {
             topic: self._subscribe(topic) for topic in (*MONITORED, 'target', 'target_in_force')
@@ -51,12 +54,12 @@ class Monitor(Node):
     @property
     def seconds(self) -> float:
         """Simulated time of the newest configuration [s], 0 before the first."""
-        state = self._read('configuration')
+        state = self._read_newest('configuration')
         return 0.0 if state is None else from_stamp(state.header.stamp) / NANOSECONDS
 
     def target_in_force(self) -> dict[str, list[float]] | None:
         """Return the target that the controller has announced last, as a target file has it."""
-        target = self._read('target_in_force')
+        target = self._read_newest('target_in_force')
         if target is None:
             return None
         kind = 'latent' if is_latent(target) else 'configuration'
@@ -75,7 +78,7 @@ class Monitor(Node):
         self._bar.close()
 
     def _show(self) -> None:
-        state = self._read('configuration')
+        state = self._read_newest('configuration')
         if state is None:
             return
         seconds = from_stamp(state.header.stamp) / NANOSECONDS
@@ -85,15 +88,23 @@ class Monitor(Node):
         self._bar.set_description_str('running', refresh=False)
         shown = []
         configuration = np.array(state.position)
-        target, answer = self._read('target'), self._read('control_force')
-        if target is not None and len(target.position) == configuration.size == self._rest.size:
-            begin = np.sum((self._rest - target.position) ** 2)
+        target, answer = self._read_newest('target'), self._read_newest('control_force')
+        sizes = {configuration.size, None if self._start is None else self._start.size}
+        if target is not None and sizes == {len(target.position)}:
+            begin = np.sum((self._start - target.position) ** 2)
             nmse = np.sum((configuration - target.position) ** 2) / begin if begin else np.nan
             shown.append(f'nMSE {nmse:.4f}')
         if answer is not None:
             force = answer.wrench.force
             shown.append(f'|u| {np.hypot(force.x, force.y):.2f} N')
         self._bar.set_postfix_str('  '.join(shown), refresh=True)
+
+    def _begin(self, data: bytes) -> None:
+        """Keep the first configuration, and take no more of them one by one."""
+        state = _read(data, 'configuration')
+        if state is not None:
+            self._start = np.array(state.position)
+            self.destroy_subscription(self._first)
 
     def _subscribe(self, topic: str) -> Subscription:
         entry = TOPICS[topic]
@@ -111,14 +122,14 @@ class Monitor(Node):
             if taken is not None:
                 self._newest[topic], _ = taken
 
-    @cached_property
-    def _rest(self) -> np.ndarray:
-        """The configuration of the body at rest [m], from which a run begins."""
-        return load_network(self._plan.parameters['simulator']['network']).rest_configuration
-
-    def _read(self, topic: str) -> Any:
+    def _read_newest(self, topic: str) -> Any:
         """Return the newest message of a topic; None where there is none, or none that is one."""
-        try:
-            return deserialize_message(self._newest[topic], TOPICS[topic].message_type)
-        except (KeyError, RuntimeError):  # the base of what rclpy raises for other bytes
-            return None
+        return _read(self._newest[topic], topic) if topic in self._newest else None
+
+
+def _read(data: bytes, topic: str) -> Any:
+    """Return a message of a topic; None where the bytes are none."""
+    try:
+        return deserialize_message(data, TOPICS[topic].message_type)
+    except RuntimeError:  # the base of what rclpy raises for other bytes
+        return None

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from side_by_side import row
 
-from dpc_ros.network import Gravity, Integrator, MassSpringNetwork, Mechanics
+from dpc_ros.network import Gravity, Integrator, MassSpringNetwork, Mechanics, simulate
 from dpc_ros.network.kernels import accelerate, workspace
 
 SIDES = (14, 45, 141)  # masses
@@ -96,8 +96,7 @@ def _functions(network):
         return count
 
     def steps():
-        for _ in range(count):
-            integrator.advance(q, velocity, force)
+        simulate(integrator, q, velocity, count, force)
         return count
 
     return network, forces, steps

@@ -35,7 +35,7 @@ def measure():
         return simulate(integrator, q, velocity, CALLS)
 
     rows = []
-    for name in ['RK4', *stable_integrators(network, STEP)[:1]]:
+    for name in dict.fromkeys(['RK4', *stable_integrators(network, STEP)[:1]]):
         model = mujoco_model(network, GRAVITY, STEP, name)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = q, velocity

@@ -19,6 +19,7 @@ TRIPS = 3000
 GOAL = 1 / 1.5  # at most that many times the floor
 WARM_UP = 200  # round trips
 RATE = 200.0  # Hz
+GIVE_UP = 120.0  # s
 HERE = Path(__file__).parent
 FLOOR = 'bare rclpy nodes, one kept wait set'
 SINGLE_THREADED = 'the same in SingleThreadedExecutor'
@@ -75,7 +76,7 @@ def _composed(folder, file, trips, record=False):
         *(str(HERE / 'measured.py'), str(file), 'launcher', '--composed'),
         *('--config', str(config_path('demo.yaml')), '--output', str(folder)),
         *('--duration', str(_duration(trips)), *([] if record else ['--no-record'])),
-    ).wait()
+    ).wait(GIVE_UP)
 
 
 def _separate(folder, file, trips, record=False, **parameters):
@@ -83,12 +84,12 @@ def _separate(folder, file, trips, record=False, **parameters):
     with nodes_of(
         plan, simulator=[str(HERE / 'measured.py'), str(file), 'simulator_node']
     ) as nodes:
-        nodes['simulator'].wait()
+        nodes['simulator'].wait(GIVE_UP)
 
 
 def _floor(processes, folder, file, trips):
     leader, *others = [
         start(str(HERE / 'bare_loop.py'), str(trips), str(file), *kinds) for kinds in processes
     ]
-    leader.wait()
+    leader.wait(GIVE_UP)
     end(others)

@@ -16,6 +16,7 @@ from dpc_ros.nodes.messages import from_stamp
 
 DURATION = 5.0  # s, of simulated time
 REPETITIONS = 5
+GIVE_UP = 120.0  # s
 GOAL = 4.0  # times as fast
 
 
@@ -29,7 +30,7 @@ def _run():
     with tempfile.TemporaryDirectory() as folder:
         plan = plan_of(Path(folder) / 'run', simulator={'duration': DURATION})
         with nodes_of(plan) as nodes:
-            nodes['simulator'].wait()
+            nodes['simulator'].wait(GIVE_UP)
         published = {}  # the first publication of each stamp [s]
         for message in read_messages(plan.bag, ['/configuration']):
             stamp = from_stamp(message.content.header.stamp)

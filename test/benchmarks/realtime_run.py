@@ -4,6 +4,7 @@ There are two rows: the steps that the simulator has missed and reported, and th
 all nodes together. They stand beside what is allowed: one step in a hundred, and one core.
 """
 
+import contextlib
 import tempfile
 import time
 from pathlib import Path
@@ -52,13 +53,14 @@ def measure(duration=DURATION):
 def _sample(processes, simulator):
     """Return times [s] and processor times of all [s], until the simulator has ended."""
     known = [psutil.Process(process.pid) for process in processes]
-    samples = []
+    samples, spent = [], {}
     while simulator.poll() is None:
-        try:
-            spent = [process.cpu_times() for each in known for process in _family(each)]
-        except psutil.NoSuchProcess:
-            break
-        samples.append((time.time(), sum(each.user + each.system for each in spent)))
+        for each in known:
+            with contextlib.suppress(psutil.NoSuchProcess):  # what has ended keeps its last time
+                for process in _family(each):
+                    times = process.cpu_times()
+                    spent[process.pid] = times.user + times.system
+        samples.append((time.time(), sum(spent.values())))
         time.sleep(0.1)
     return samples
 

@@ -21,6 +21,17 @@ def side_by_side(ours, peer, repetitions, calls=1):
     return statistics.median(seconds[ours]), statistics.median(seconds[peer])
 
 
+def shortest(function, repetitions=3):
+    """Return the least seconds of some calls, after one to warm up."""
+    function()
+    times = []
+    for _ in range(repetitions):
+        begin = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
 def row(benchmark, peer, ours_median, peer_median, unit='s', goal=None):
     """Return the row of docs/results/benchmarks.json.
 

@@ -58,10 +58,14 @@ def _until_configured(*program):
     """Return the seconds until a node says so, and its peak memory then [MiB]."""
     began = time.perf_counter()
     process = start(*program, stderr=subprocess.PIPE, text=True)
+    said = []
     for line in process.stderr:
+        said.append(line)
         if line.rstrip().endswith('configured'):
             seconds = time.perf_counter() - began
             break
+    else:
+        raise RuntimeError(f'{" ".join(program)} ended early:\n{"".join(said)}')
     status = Path(f'/proc/{process.pid}/status').read_text().splitlines()
     (peak,) = (line.split()[1] for line in status if line.startswith('VmHWM:'))
     process.stderr.close()

@@ -58,7 +58,6 @@ def test_each_runs_under_its_own_gravity(small_network):
         np.testing.assert_array_equal(trajectory.velocity, expected.velocity)
 
 
-@pytest.mark.filterwarnings('ignore::RuntimeWarning')
 def test_series_side_by_side_come_in_order_and_as_alone(small_network):
     series = [('rest', 'continue', 'previous_end')[: 1 + k % 3] for k in range(20)]
     listed = conditions(*(start for each in series for start in each))
@@ -73,6 +72,7 @@ def test_series_side_by_side_come_in_order_and_as_alone(small_network):
             np.testing.assert_array_equal(trajectory.velocity, expected.velocity)
 
 
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
 def test_a_body_too_stiff_for_the_step_is_reported(small_network):
     stiff = replace(small_network, stiffness=1e12 * small_network.stiffness)
     with pytest.raises(ValueError, match=r'simulation 1 of grid diverged .* step of 0\.005 s'):

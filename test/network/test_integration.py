@@ -162,3 +162,9 @@ def test_step_has_to_be_positive(small_mechanics, step):
 def test_unknown_method_names_the_known_ones(small_mechanics):
     with pytest.raises(ValueError, match=r"'euler'.*rk4.*symplectic_euler"):
         Integrator(small_mechanics, 0.005, 'euler')
+
+
+def test_states_of_another_body_are_refused(small_mechanics):
+    n = small_mechanics.network.configuration_size - 2
+    with pytest.raises(ValueError, match='expected states'):
+        Integrator(small_mechanics, 0.005).fill(np.zeros((3, n)), np.zeros((3, n)), np.zeros(n))

@@ -88,3 +88,10 @@ def test_integrators_of_two_steps_are_refused(random_network, random_state):
         simulate_many(integrators, *states, STEPS)
     with pytest.raises(ValueError, match='as many integrators as starts'):
         simulate_many(integrators[:3], *states, STEPS)
+
+
+def test_states_of_another_body_are_refused(random_network, random_state):
+    integrators, *states = starts(random_network(4), random_state, 4)
+    configurations, velocities, forces = (each[:, :-2] for each in states)
+    with pytest.raises(ValueError, match='states and forces of the shape'):
+        simulate_many(integrators, configurations, velocities, STEPS, forces)

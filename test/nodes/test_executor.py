@@ -553,6 +553,12 @@ def test_busy_topic_starves_no_rare_callback(ros):
     ros.executor.spin_until(lambda: all(found.count(k) > 3 for k in ('newest', 'all', 'timer')))
 
 
+@pytest.mark.parametrize('ros', [('kept_wait_set', 0.0)], indirect=True)
+def test_shutdown_in_a_callback_ends_spinning_until_something_holds(ros):
+    ros.node('quitter').create_timer(0.001, ros.executor.shutdown)
+    ros.executor.spin_until(lambda: False)
+
+
 @pytest.mark.parametrize('what', ['executor', 'context'])
 def test_shutdown_in_a_callback_ends_spin(ros, what):
     node = ros.node('quitter')
