@@ -49,6 +49,16 @@ def read_results(path: str | Path) -> list[dict[str, Any]]:
     return json.loads(Path(path).read_text())['rows']
 
 
+def quantity(value: float, unit: str) -> str:
+    """Return three digits of a measured number with its unit; seconds in the unit that suits."""
+    if unit != 's':
+        return f'{value:.3g} {unit}'
+    for factor, name in ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs')):
+        if abs(value) >= factor:
+            return f'{value / factor:.3g} {name}'
+    return f'{value / 1e-9:.3g} ns'
+
+
 def command_line() -> str:
     """Return the command that this process runs, without the folder of the program."""
     return ' '.join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from dpc_ros.files import new_folder, replacing
-from dpc_ros.results import write_results
+from dpc_ros.results import quantity, write_results
 
 
 def test_a_file_is_replaced_once_it_is_whole(tmp_path):
@@ -65,3 +65,18 @@ def test_a_folder_is_there_once_it_is_whole(tmp_path, kind):
     with pytest.raises(OSError, match=r"can't be written \(something stands there\)"):
         write()
     assert (path / 'file.txt').read_text() == 'whole'
+
+
+@pytest.mark.parametrize(
+    ('value', 'unit', 'text'),
+    [
+        (12.34, 's', '12.3 s'),
+        (0.01234, 's', '12.3 ms'),
+        (4.74e-5, 's', '47.4 µs'),
+        (3.6e-8, 's', '36 ns'),
+        (0.0, 's', '0 ns'),
+        (0.123, 'cores', '0.123 cores'),
+    ],
+)
+def test_quantities_are_shown_in_the_unit_that_suits(value, unit, text):
+    assert quantity(value, unit) == text

@@ -15,6 +15,7 @@ from dpc_ros.paper.published import (
     best_test_mse,
     published_mse_by_size,
 )
+from dpc_ros.results import quantity
 
 Rows = list[dict[str, Any]]
 # Beside the results.
@@ -231,9 +232,7 @@ def _pointwise(rows: Rows) -> str:
     keys = ('system', 'model', 'encoder')
     for chosen in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         mine = [row for row in rows if tuple(row[key] for key in keys) == chosen]
-        medians = (
-            sum(row[f'{quantity}_median'] for row in mine) / len(mine) for quantity in quantities
-        )
+        medians = (sum(row[f'{name}_median'] for row in mine) / len(mine) for name in quantities)
         system, model, encoder = chosen
         label = f'{model}, projection' if encoder == 'projection' else model
         body.append([system[-1], label, *map(_number, medians)])
@@ -412,7 +411,7 @@ def _benchmarks(rows: Rows) -> str:
     header = ['benchmark', 'ours', 'beside', 'theirs', 'ratio', 'goal']
     body = []
     for row in rows:
-        ours, theirs = (_quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
+        ours, theirs = (quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
         goal = '' if row['goal'] is None else _short(row['goal'])
         name = row['benchmark'].replace('_', ' ')
         body.append([name, ours, row['peer'], theirs, _short(row['ratio']), goal])
@@ -451,10 +450,6 @@ def _percent(value: float | None) -> str:
 def _short(value: float | None) -> str:
     """Return three digits; what is infinite stands as null in the files."""
     return '∞' if value is None else f'{value:.3g}'
-
-
-def _quantity(value: float, unit: str) -> str:
-    return f'{1e3 * value:.3g} ms' if unit == 's' else f'{value:.2g} {unit}'
 
 
 def _milliseconds(value: float | None) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dpc_ros.results import read_results, write_results
+from dpc_ros.results import quantity, read_results, write_results
 from dpc_ros.threads import single_threaded_algebra
 
 BENCHMARKS = (
@@ -59,7 +59,7 @@ def main():
             rows += import_module(name).measure()
     print(f'{"":<36}{"":>13}   {"beside":<40}{"":>13}   ratio   before')
     for row in rows:
-        ours, peer = (_quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
+        ours, peer = (quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
         ratio, known_ratio = f'{row["ratio"]:.3g}', before.get(_key(row))
         known_ratio = '–' if known_ratio is None else f'{known_ratio:.3g}'
         what = f'{row["benchmark"]:<36}{ours:>13}   {row["peer"]:<40}{peer:>13}'
@@ -77,10 +77,6 @@ def main():
 
 def _key(row):
     return row['benchmark'], row['peer']
-
-
-def _quantity(value, unit):
-    return f'{1e3 * value:.4g} ms' if unit == 's' else f'{value:.4g} {unit}'
 
 
 if __name__ == '__main__':
