@@ -53,6 +53,7 @@ def quantity(value: float, unit: str) -> str:
     """Return three digits of a measured number with its unit; seconds in the unit that suits."""
     if unit != 's':
         return f'{value:.3g} {unit}'
+    value = float(f'{value:.3g}')
     for factor, name in ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs')):
         if abs(value) >= factor:
             return f'{value / factor:.3g} {name}'

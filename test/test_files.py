@@ -72,6 +72,7 @@ def test_a_folder_is_there_once_it_is_whole(tmp_path, kind):
     [
         (12.34, 's', '12.3 s'),
         (0.01234, 's', '12.3 ms'),
+        (0.9996, 's', '1 s'),
         (4.74e-5, 's', '47.4 µs'),
         (3.6e-8, 's', '36 ns'),
         (0.0, 's', '0 ns'),
