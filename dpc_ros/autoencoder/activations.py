@@ -21,11 +21,6 @@ class Activation(NamedTuple):
     value_and_first_derivative: Callable[[Array], tuple[Array, Array]]
 
 
-def _silu_first(z: Array) -> Array:
-    s = expit(z)
-    return s * (1.0 + z * (1.0 - s))
-
-
 def _silu_with_first(z: Array) -> tuple[Array, Array]:
     s = expit(z)
     return z * s, s * (1.0 + z * (1.0 - s))
@@ -50,7 +45,7 @@ ACTIVATIONS = {
     ),
     'silu': Activation(
         value=lambda z: z * expit(z),
-        first_derivative=_silu_first,
+        first_derivative=lambda z: _silu_with_first(z)[1],
         second_derivative=_silu_second,
         value_and_first_derivative=_silu_with_first,
     ),
