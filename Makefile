@@ -75,8 +75,8 @@ test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 test-long: $(VENV)/test.stamp
-	$(BIN)/python -m pytest -m 'long or faults' --repetitions 50 \
-		--fault-results docs/results/faults.json $(ARGS)
+	$(BIN)/python -m pytest -m 'long or faults' --repetitions=50 \
+		--fault-results=docs/results/faults.json $(ARGS)
 	$(BIN)/dpc paper tables
 
 bench: $(VENV)/test.stamp
