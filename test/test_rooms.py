@@ -25,6 +25,7 @@ ROOMS = [
     'reduction',
     'control',
     'bag',
+    'view',
     'nodes',
     'paper',
 ]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.figure import new_figure, save_figure, tidy
-from dpc_ros.network.mass_spring_network import MassSpringNetwork, NetworkError
+from dpc_ros.network.mass_spring_network import MassSpringNetwork
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,17 +119,7 @@ def draw_figure(
 
 
 def _position(network: MassSpringNetwork, configuration: np.ndarray | None) -> np.ndarray:
-    if configuration is None:
-        return network.rest_position
-    shape = np.shape(configuration)
-    if shape != (network.configuration_size,) or not np.isfinite(configuration).all():
-        raise NetworkError(
-            f'configuration: expected {network.configuration_size} finite numbers for '
-            f'{network.name}, got an array of shape {shape}'
-        )
-    position = network.rest_position.copy()
-    position[network.mobile] = np.reshape(configuration, (-1, 2))
-    return position
+    return network.rest_position if configuration is None else network.positions(configuration)
 
 
 def _limits(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -120,6 +120,37 @@ class MassSpringNetwork:
         """`<name>@<digest>`, the `frame_id` of its configurations."""
         return f'{self.name}@{self.digest}'
 
+    def positions(
+        self, configuration: Float[np.ndarray, '*batch n']
+    ) -> Float[np.ndarray, '*batch masses 2']:
+        """Return where all masses are, the fixed ones too [m].
+
+        Raises:
+            NetworkError: the configuration is not one of this network, or not finite.
+        """
+        shape = np.shape(configuration)
+        if shape[-1:] != (self.configuration_size,) or not np.isfinite(configuration).all():
+            raise NetworkError(
+                f'configuration: expected {self.configuration_size} finite numbers for '
+                f'{self.name}, got an array of shape {shape}'
+            )
+        positions = np.empty((*shape[:-1], *self.rest_position.shape))
+        positions[..., self.fixed, :] = self.rest_position[self.fixed]
+        positions[..., self.mobile, :] = np.reshape(configuration, (*shape[:-1], -1, 2))
+        return positions
+
+    def strains(
+        self, configuration: Float[np.ndarray, '*batch n']
+    ) -> Float[np.ndarray, '*batch springs']:
+        """Return (|d| − l)/l of each spring; of one whose rest length is zero, |d| per metre.
+
+        Raises:
+            NetworkError: the configuration is not one of this network, or not finite.
+        """
+        ends = self.positions(configuration)[..., self.springs, :]
+        length = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1)
+        return (length - self.rest_length) / np.where(self.rest_length > 0, self.rest_length, 1.0)
+
     def mobile_index(self, mass: int) -> int:
         """Return the place of a mass among the mobile ones.
 

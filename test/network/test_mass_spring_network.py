@@ -257,3 +257,30 @@ def test_missing_files_name_the_shipped_systems(name):
 def test_fractions_are_no_mass_numbers(small_network):
     with pytest.raises(NetworkError, match='fixed: expected whole numbers'):
         replace(small_network, fixed=np.array([0.5, 1.0]))
+
+
+def test_positions_hold_the_fixed_masses_and_the_configuration(random_network, random_state):
+    network = random_network(5)
+    q, _ = random_state(5, network)
+    positions = network.positions(q)
+    np.testing.assert_array_equal(positions[network.mobile].ravel(), q)
+    np.testing.assert_array_equal(positions[network.fixed], network.rest_position[network.fixed])
+    many = np.stack([q, network.rest_configuration])
+    np.testing.assert_array_equal(network.positions(many)[0], positions)
+    with pytest.raises(NetworkError, match='finite numbers'):
+        network.positions(q[:-1])
+    with pytest.raises(NetworkError, match='finite numbers'):
+        network.positions(np.full_like(q, np.nan))
+
+
+def test_a_body_that_is_a_quarter_larger_is_strained_by_a_quarter(paper_2):
+    rest = paper_2.rest_configuration
+    np.testing.assert_allclose(paper_2.strains(rest), 0, atol=1e-9)
+    larger = replace(paper_2, rest_position=1.25 * paper_2.rest_position)
+    np.testing.assert_allclose(larger.strains(1.25 * rest), 0.25, atol=1e-9)
+
+
+def test_a_spring_without_rest_length_is_strained_by_its_length(paper_2):
+    network = replace(paper_2, rest_length=np.zeros(len(paper_2.springs)))
+    lengths = np.linalg.norm(np.diff(paper_2.rest_position[paper_2.springs], axis=1)[:, 0], axis=1)
+    np.testing.assert_allclose(network.strains(network.rest_configuration), lengths, atol=1e-14)
