@@ -27,7 +27,7 @@ VENV_OPTIONS :=
 CONSTRAINTS_FILES := constraints.txt constraints-$(ROS).txt
 CONSTRAINTS := $(CONSTRAINTS_FILES:%=-c %)
 ROS_EXTRA := ros$(if $(filter-out jazzy,$(ROS)),-$(ROS))
-DEMO_EXTRAS := [$(ROS_EXTRA)]
+DEMO_EXTRAS := [$(ROS_EXTRA),viewer]
 TEST_EXTRAS := [$(ROS_EXTRA),test]
 
 # With a sourced ROS installation rclpy comes from there, and so do the numpy and the Python that it
@@ -37,7 +37,7 @@ ifeq ($(shell python3 -c 'import rclpy' 2>/dev/null && echo found),found)
 PYTHON := python3
 VENV_OPTIONS := --system-site-packages
 CONSTRAINTS :=
-DEMO_EXTRAS :=
+DEMO_EXTRAS := [viewer]
 TEST_EXTRAS := [test]
 endif
 endif
@@ -50,11 +50,14 @@ PYTHON := $(UPON)/bin/python
 UPON_OPTIONS := --no-warn-conflicts
 endif
 
+APT_INSTALL := apt-get install --yes --quiet --no-install-recommends
+BROWSER_LOG := $(VENV)-browser.log
+
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
 INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation --editable
 
-.PHONY: help demo test test-long bench venv clean
+.PHONY: help demo test test-long bench venv browser clean
 .DEFAULT_GOAL := help
 
 help:
@@ -62,13 +65,14 @@ help:
 	@echo 'make test   run linters, type checks and all tests'
 	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json'
 	@echo 'make bench  measure everything beside its peers; write docs/results/benchmarks.json'
+	@echo 'make browser   install Chromium for the tests of pages (Debian and Ubuntu, as root)'
 	@echo 'make venv   only install, into $(VENV)'
 	@echo 'make clean  remove .venv* and what the tools left (runs/ stays)'
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/launcher --config config/demo.yaml $(ARGS)
 
-test: $(VENV)/test.stamp
+test: $(VENV)/test.stamp browser
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
@@ -84,6 +88,14 @@ bench: $(VENV)/test.stamp
 	$(BIN)/dpc paper tables
 
 venv: $(VENV)/test.stamp
+
+# In which the tests look at pages; where it can't be installed they are skipped, and say so.
+browser:
+	@command -v chromium chromium-browser google-chrome >/dev/null || { \
+		echo 'Installing Chromium …'; \
+		test "$$(id -u)" = 0 && export DEBIAN_FRONTEND=noninteractive && \
+		{ $(APT_INSTALL) chromium || { apt-get update && $(APT_INSTALL) chromium; }; } \
+		>$(BROWSER_LOG) 2>&1; } || echo 'no Chromium: the tests of pages will be skipped'
 
 clean:
 	rm -rf .venv .venv-* build dist install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -60,6 +60,7 @@ setup(
         'mcap-ros2-support',
         'numba',
         'numpy',
+        'plotly',
         'pyyaml',
         'safetensors',
         'scipy',
@@ -73,6 +74,7 @@ setup(
         'ros-kilted': wheels_of_ros('kilted'),
         'parquet': ['pyarrow'],
         'selection': ['ray[tune]'],
+        'viewer': ['viser'],
         'test': [
             'beartype',
             'catkin_pkg',
@@ -81,6 +83,7 @@ setup(
             'hypothesis',
             'mujoco',
             'mypy',
+            'playwright',
             'psutil',
             'pyarrow',
             'pytest',
@@ -90,6 +93,7 @@ setup(
             'rosbags',
             'ruff',
             'torch_geometric',
+            'viser',
         ],
     },
     entry_points={

@@ -68,6 +68,18 @@ hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
 hypothesis.settings.load_profile('dpc_ros')
 
 READER_IN_NODE = Path(__file__).parent / 'bag' / 'reader_in_node'
+# As root in a container, with WebGL in software; nothing is looked up on the network.
+CHROMIUM_OPTIONS = [
+    '--no-sandbox',
+    '--use-gl=angle',
+    '--use-angle=swiftshader',
+    '--enable-unsafe-swiftshader',
+    '--disable-quic',
+    '--disable-background-networking',
+    '--disable-component-update',
+    '--disable-sync',
+    '--no-first-run',
+]
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
 _PROMISES = pytest.StashKey[dict]()
@@ -514,3 +526,38 @@ def agrees(value, other):
     if isinstance(other, dict):
         other = int(other['integer']) if 'integer' in other else float(other['float'])
     return value == other or (value != value and other != other)
+
+
+@pytest.fixture(scope='module')
+def browser():
+    """Return headless Chromium, driven by Playwright."""
+    from playwright.sync_api import sync_playwright
+
+    found = filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome')))
+    executable = next(found, None)
+    if executable is None:
+        pytest.skip('no Chromium: `make browser` installs it')
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=executable, args=CHROMIUM_OPTIONS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Return a call that opens an address; what the page complains of is in `page.errors`."""
+    contexts = []
+
+    def open_address(address, offline=False, **options):
+        context = browser.new_context(offline=offline, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.errors = []
+        page.on('console', lambda line: line.type == 'error' and page.errors.append(line.text))
+        page.on('pageerror', lambda error: page.errors.append(str(error)))
+        page.goto(address)
+        return page
+
+    yield open_address
+    for context in contexts:
+        context.close()
