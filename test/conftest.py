@@ -121,6 +121,14 @@ def pytest_generate_tests(metafunc):
             metafunc.parametrize('_repetition', range(count))
 
 
+def pytest_collection_modifyitems(config, items):
+    """Give a test that repeats its fault itself the time for all repetitions."""
+    for item in items:
+        if 'repetitions' in item.fixturenames and item.get_closest_marker('timeout') is None:
+            limit = float(config.getini('timeout')) * config.getoption('--repetitions')
+            item.add_marker(pytest.mark.timeout(limit))
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
     report = yield

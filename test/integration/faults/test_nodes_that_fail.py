@@ -10,6 +10,12 @@ pytestmark = pytest.mark.faults
 LONG = pytest.mark.long  # where another case of the same is in every run
 TIMEOUT = 0.1  # s, after which a force is stale
 FORCED_STEPS = round(TIMEOUT * 200) + 1  # that one of the state which the force answers
+MOST_STARTS = 20  # repetitions in which a process is started anew, which takes seconds
+
+
+@pytest.fixture
+def repetitions(repetitions, request):
+    return min(repetitions, MOST_STARTS) if 'killed' in request.node.name else repetitions
 
 
 def epochs(states):
