@@ -13,12 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from dpc_ros.bag import read_run
 from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.bag.repair import repair
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import PROCESS_READING
+from dpc_ros.nodes.markers_node import MARKERS
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
@@ -363,6 +365,32 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     assert 'restarts    controller 1, encoder 1\n' in output
     log = (tmp_path / 'run' / 'log' / 'encoder.log').read_text()
     assert log.count('configured') == 2
+
+
+@pytest.mark.faults(
+    fault='a companion of the launcher, the markers node, crashes',
+    promise='started anew, then given up, said on the terminal; the run is bit for bit as without',
+    mode='lockstep',
+    most=5,
+)
+def test_a_companion_that_crashes_is_no_matter_to_the_run(
+    domain, observer, tmp_path, assert_repeats
+):
+    run = Launched(domain, observer, tmp_path / 'run', '--markers', '--restarts', '1')
+    pictures = []
+    observer.node.create_subscription(MarkerArray, 'markers', pictures.append, MARKERS.qos)
+    run.wait(lambda: pictures, 'markers of what holds the body')
+    run.wait_for_another('markers', run.signal('markers', signal.SIGKILL))
+    run.signal('markers', signal.SIGKILL)
+    run.wait(lambda: run.has_said('the run goes on without it'), 'the companion to be given up')
+    run.begin()
+    code, output = run.end()
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag')
+    assert 'markers was ended by SIGKILL: started anew (1 of 1)' in output
+    assert 'markers was ended by SIGKILL, and --restarts 1 allows no more; the run goes' in output
+    assert 'restarts    markers 1\n' in output
+    run.assert_nothing_is_left()
 
 
 @pytest.mark.faults(
