@@ -16,7 +16,7 @@ BODY, FIXED, RECONSTRUCTION, TARGET, FORCE = NAMESPACES = (
 )
 
 # Of the median length of a spring at rest.
-_LINE, _GHOST, _CUBE = 0.08, 0.06, 0.3
+_LINE, _GHOST, _THIN, _CUBE = 0.1, 0.06, 0.03, 0.3
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.2, 0.5, 0.7
 # The plane of each: who looks from above sees the force before the body, the target behind it.
 _PLANES = {TARGET: -0.2, BODY: 0.0, FIXED: 0.0, RECONSTRUCTION: 0.1, FORCE: 0.2}
@@ -26,14 +26,14 @@ _SHORTEST = 0.1  # m, for a body whose springs have no length
 _COLOURS = {
     BODY: (150, 150, 150, 1.0),  # each spring has its own
     FIXED: (230, 159, 0, 1.0),
-    RECONSTRUCTION: (0, 158, 115, 0.7),
+    RECONSTRUCTION: (0, 158, 115, 0.8),
     TARGET: (86, 180, 233, 0.35),
     FORCE: (204, 121, 167, 1.0),
 }
 _SHAPES = {
     BODY: (Marker.LINE_LIST, (_LINE, 0.0, 0.0)),
     FIXED: (Marker.CUBE_LIST, (_CUBE, _CUBE, _CUBE)),
-    RECONSTRUCTION: (Marker.LINE_LIST, (_GHOST, 0.0, 0.0)),
+    RECONSTRUCTION: (Marker.LINE_LIST, (_THIN, 0.0, 0.0)),  # the colours below it stay in sight
     TARGET: (Marker.LINE_LIST, (_GHOST, 0.0, 0.0)),
     FORCE: (Marker.ARROW, (_SHAFT, _HEAD, _HEAD_LENGTH)),
 }

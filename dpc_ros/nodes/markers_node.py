@@ -29,6 +29,8 @@ class MarkersNode(LoopNode):
     It keeps the newest messages as bytes, and reads them when it draws.
     """
 
+    niceness = 5  # below the nodes of the loop
+
     def __init__(self, context: Context | None = None) -> None:
         super().__init__('markers', context)
         self._timer: Timer | None = None
@@ -86,10 +88,11 @@ class MarkersNode(LoopNode):
         if has_changed or now - self._drawn_at >= _REPEAT_PERIOD:
             self._watchers, self._drawn_at = watchers, now
             self._draw()
+            self.health.processed(time.thread_time() - begin)
         spent = time.thread_time() - begin
-        self.health.processed(spent)
-        settings = self.settings
-        self._be_back(max(1 / settings['largest_rate'], spent / settings['largest_share']))
+        self._be_back(
+            max(1 / self.settings['largest_rate'], spent / self.settings['largest_share'])
+        )
 
     def _draw(self) -> None:
         onlooker, scene = self._onlooker, self._scene
