@@ -12,6 +12,7 @@ NODES = (
     'controller_node',
     'recorder_node',
     'player_node',
+    'markers_node',
     'launcher',
 )
 

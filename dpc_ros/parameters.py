@@ -18,7 +18,7 @@ _TYPES: dict[str, tuple[type, ...]] = {
     'string': (str,),
     'string_array': (list, tuple),
 }
-KINDS = ('simulator', 'encoder', 'controller', 'recorder', 'player')
+KINDS = ('simulator', 'encoder', 'controller', 'recorder', 'player', 'markers')
 
 
 class ParameterError(ValueError):

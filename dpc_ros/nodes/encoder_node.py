@@ -18,6 +18,7 @@ from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
+    check_within,
     from_stamp,
     hear_controller,
     latent_names,
@@ -160,15 +161,9 @@ class EncoderNode(LoopNode):
             self._answer(*each)
 
     def _check_plausible(self, configuration: np.ndarray, velocity: np.ndarray) -> None:
-        for values, name, unit in (
-            (configuration - self._rest, 'displacement', 'm'),
-            (velocity, 'speed', 'm/s'),
-        ):
-            largest, found = self.settings[f'largest_{name}'], float(np.abs(values).max())
-            if found > largest:
-                raise MessageError(
-                    f'expected a {name} of at most {largest:g} {unit}, got {found:g}'
-                )
+        displacement = configuration - self._rest
+        check_within(displacement, self.settings['largest_displacement'], 'displacement', 'm')
+        check_within(velocity, self.settings['largest_speed'], 'speed', 'm/s')
 
     def _watch(self) -> None:
         """Report where no configuration has come for too long; nothing is published meanwhile."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from dpc_ros.parameters import ParameterError, declarations, node_parameters, re
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
-NODES = (*LOOP, RECORDER)
+COMPANIONS = ('markers',)  # that only look on: the run is the same with or without them
+NODES = (*LOOP, RECORDER, *COMPANIONS)
 LAUNCHER = 'launcher'
 _STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
 _OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
@@ -36,6 +37,7 @@ class LaunchPlan:
         remappings: of each kind of node, `from:=to`.
         restarts: how often in the run a node that has crashed is started anew.
         silence: time [s] without a report of a node after which it is unresponsive; 0 is never.
+        companions: kinds of those nodes that only look on; what happens to them ends no run.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -45,6 +47,7 @@ class LaunchPlan:
     remappings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     restarts: int = 0
     silence: float = 0.0
+    companions: tuple[str, ...] = ()
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -101,6 +104,7 @@ def make_plan(
     record: bool = True,
     restarts: int = 0,
     silence: float = 0.0,
+    companions: Iterable[str] = (),
 ) -> LaunchPlan:
     """Merge a parameter file with overrides and check every value.
 
@@ -112,6 +116,8 @@ def make_plan(
         record: whether a recorder is started.
         restarts: see `LaunchPlan`; with any, a lockstep simulator waits longer for an answer.
         silence: see `LaunchPlan`.
+        companions: some of `COMPANIONS`, to be started beside the loop; network and checkpoint are
+            those of simulator and encoder where they are given no others.
 
     Raises:
         FileExistsError: the folder exists.
@@ -170,7 +176,21 @@ def make_plan(
             if node == 'controller' and observes:
                 readers.append('encoder')
             parameters[node]['expected_subscribers'] = readers
-    return LaunchPlan(parameters, folder, namespace, restarts=restarts, silence=silence)
+    models = {
+        'network': parameters['simulator']['network'],
+        'checkpoint': parameters['encoder']['checkpoint'],
+    }
+    for kind in companions:
+        own = sections.get(kind, {}), overrides.get(kind, {})
+        parameters[kind] = node_parameters(kind, sections.get('/**', {}), models, *own)
+    return LaunchPlan(
+        parameters,
+        folder,
+        namespace,
+        restarts=restarts,
+        silence=silence,
+        companions=tuple(companions),
+    )
 
 
 def _check_observer(encoder: Mapping[str, Any], simulator: Mapping[str, Any]) -> None:

@@ -42,6 +42,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _main(options: argparse.Namespace) -> int:
+    if options.composed and options.companions:
+        return _complain(
+            f'--{options.companions[0]} with --composed: drawing in the process of the loop would '
+            f'hold it up; start `{options.companions[0]}_node` by itself, in another terminal',
+            2,
+        )
     try:
         plan = make_plan(
             Path(options.config),
@@ -51,6 +57,7 @@ def _main(options: argparse.Namespace) -> int:
             options.record,
             0 if options.composed else options.restarts,
             options.silence,
+            options.companions,
         )
         plan.write()
     except (ValueError, OSError) as error:
@@ -293,6 +300,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         '--no-record', dest='record', action='store_false', help='write no log, show no table'
+    )
+    parser.add_argument(
+        '--markers',
+        dest='companions',
+        action='append_const',
+        const='markers',
+        default=[],
+        help='draw the run for RViz and Foxglove, in a process beside the loop',
     )
     parser.add_argument('--namespace', default='/', help='of all nodes and topics, as /body_2')
     parser.add_argument(

@@ -70,6 +70,7 @@ class LoopNode(LifecycleNode):
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
         gathering_s: time [s] for which it may let messages gather, where it is alone in a process.
+        niceness: by how much it gives way to others once it has started, likewise.
         kind: which of the nodes it is, and its name where it isn't remapped.
         settings: its parameters by name, those in force.
         health: its counts.
@@ -79,6 +80,7 @@ class LoopNode(LifecycleNode):
 
     acts_to_the_end = False
     gathering_s = 0.0
+    niceness = 0
 
     def __init__(self, kind: str, context: Context | None = None) -> None:
         super().__init__(kind, context=context)
@@ -459,6 +461,7 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
     code = 0
     try:
         if node.start():
+            os.nice(node.niceness)
             spin_until(executor, lambda: bool(stop or node.failure or node.finished))
             finish(executor, [node])
     except Exception as error:  # of whatever a callback calls; what was recorded is kept

@@ -12,6 +12,7 @@ from geometry_msgs.msg import WrenchStamped
 from jaxtyping import Float
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
@@ -23,6 +24,18 @@ if TYPE_CHECKING:
 
 class MessageError(ValueError):
     """A message that can't be used: what was expected and what came."""
+
+
+def read_message(data: bytes, message_type: type[Any]) -> Any:
+    """Return the message that some bytes are.
+
+    Raises:
+        MessageError: they are none of this type.
+    """
+    try:
+        return deserialize_message(data, message_type)
+    except RuntimeError as error:  # the base of what rclpy raises
+        raise MessageError(f'expected a {message_type.__name__}, got other bytes') from error
 
 
 def to_stamp(nanoseconds: int) -> Time:
@@ -181,6 +194,17 @@ def finite(values: array, size: int, what: str) -> np.ndarray:
         bad = int(np.flatnonzero(~np.isfinite(result))[0])
         raise MessageError(f'expected finite {what}, but number {bad} is {result[bad]}')
     return result
+
+
+def check_within(values: Float[np.ndarray, ' k'], largest: float, what: str, unit: str) -> None:
+    """Make sure that no value is beyond a bound, or is no number.
+
+    Raises:
+        MessageError: one is.
+    """
+    found = float(np.abs(values).max())
+    if not found <= largest:
+        raise MessageError(f'expected a {what} of at most {largest:g} {unit}, got {found:g}')
 
 
 def brief(names: Sequence[str]) -> str:

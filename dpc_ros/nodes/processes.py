@@ -95,7 +95,7 @@ class NodeProcesses:
         """End what still runs: the loop first, then the recorder, so that nothing is lost.
 
         Returns:
-            what went wrong with it, empty if nothing did.
+            what went wrong with it, empty if nothing did but to a companion.
         """
         loop = [node for node in self._processes if node != RECORDER]
         recorder = [node for node in self._processes if node == RECORDER]
@@ -111,7 +111,11 @@ class NodeProcesses:
                 self._processes[node].wait(max(deadline - time.monotonic(), _POLL))
                 continue
             self.kill(node)
-        failed = [node for node in running if self.ended()[node] not in _ASKED_TO_STOP]
+        failed = [
+            node
+            for node in running
+            if self.ended()[node] not in _ASKED_TO_STOP and node not in self._plan.companions
+        ]
         return self.describe_end(failed[0]) if failed else ''
 
     def has_crashed(self, node: str) -> bool:

@@ -25,6 +25,9 @@ class Supervision:
     can't be silent before it has reported once, so one that is starting has all the time it needs.
     A node that ends with a reason of its own ends the run.
 
+    A companion has as many restarts for itself. One that needs more, or ends with a reason, is
+    given up, which is said; the run goes on.
+
     Args:
         plan: what runs, how many restarts it may need and which silence is too long.
         processes: the nodes.
@@ -41,6 +44,7 @@ class Supervision:
         self._monitor = monitor
         self._silent_for: dict[str, float] = {}  # s, by number of the process
         self._reported: set[str] = set()  # processes whose silence was
+        self._given_up: set[str] = set()
         self._looked_at = time.monotonic()
         self.failure = ''
         self.exit_code = 0
@@ -49,19 +53,24 @@ class Supervision:
     def is_over(self) -> bool:
         """See to the nodes; return whether the leader has come to its end, or the run failed."""
         for node, code in self._processes.ended().items():
+            if node in self._given_up:
+                continue
             if node == self._plan.leader and code == 0:
                 return True
-            if not self._processes.has_crashed(node):
-                self._give_up(self._processes.describe_end(node), max(code, 1))
+            if self._processes.has_crashed(node):
+                self._restart(node, self._processes.describe_end(node))
+            else:
+                self._give_up(node, self._processes.describe_end(node), max(code, 1))
+            if self.failure:
                 return True
-            self._restart(node, self._processes.describe_end(node))
         now = time.monotonic()
         elapsed, self._looked_at = min(now - self._looked_at, _LONGEST_LOOK), now
         for process in self._silent_for:
             self._silent_for[process] += elapsed
         if self._plan.silence:
             for node in self._plan.nodes:
-                self._judge(node)
+                if node not in self._given_up:
+                    self._judge(node)
         return bool(self.failure)
 
     def _judge(self, node: str) -> None:
@@ -78,10 +87,10 @@ class Supervision:
             self._monitor.say(f'{node} reports again')
 
     def _restart(self, node: str, why: str) -> None:
-        done = self._processes.restarts.total()
+        done = self._count_restarts(node)
         if done >= self._plan.restarts:
             limit = f', and --restarts {self._plan.restarts} allows no more' if done else ''
-            self._give_up(why + limit, 1)
+            self._give_up(node, why + limit, 1)
             return
         self._silent_for.pop(self._process(node), None)
         self._processes.restart(node, self._target() if node == 'controller' else ())
@@ -92,6 +101,13 @@ class Supervision:
         elif node == self._plan.leader:
             consequence = '; the body begins again at rest, and its duration counts anew'
         self._monitor.say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
+
+    def _count_restarts(self, node: str) -> int:
+        """Return how many of the restarts that a node may have there have been."""
+        restarts, companions = self._processes.restarts, self._plan.companions
+        if node in companions:
+            return restarts[node]
+        return sum(count for kind, count in restarts.items() if kind not in companions)
 
     def _process(self, name: str) -> str:
         """Return the number of the process that a node is; of no other, whatever its name."""
@@ -106,8 +122,12 @@ class Supervision:
         path.write_text(json.dumps(target))
         return ('-p', f'target:={path}')
 
-    def _give_up(self, why: str, exit_code: int) -> None:
-        self.failure, self.exit_code = why, exit_code
+    def _give_up(self, node: str, why: str, exit_code: int) -> None:
+        if node in self._plan.companions:
+            self._given_up.add(node)
+            self._monitor.say(f'{why}; the run goes on without it')
+        else:
+            self.failure, self.exit_code = why, exit_code
 
     def _hear(self, message: DiagnosticArray) -> None:
         for status in message.status:

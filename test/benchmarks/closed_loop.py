@@ -32,10 +32,10 @@ def measure(repetitions=REPETITIONS, trips=TRIPS):
         'one_process': _composed,
         'one_process_recorded': lambda *rest: _composed(*rest, record=True),
         'one_process_floor': lambda *rest: _floor([NODES], *rest),
-        'three_processes': _separate,
-        'three_processes_recorded': lambda *rest: _separate(*rest, record=True),
+        'three_processes': separate,
+        'three_processes_recorded': lambda *rest: separate(*rest, record=True),
         'three_processes_floor': lambda *rest: _floor([(kind,) for kind in NODES], *rest),
-        'three_processes_single_threaded': lambda *rest: _separate(
+        'three_processes_single_threaded': lambda *rest: separate(
             *rest, all={'executor': 'single_threaded'}
         ),
     }
@@ -47,7 +47,13 @@ def measure(repetitions=REPETITIONS, trips=TRIPS):
                 run(Path(folder) / 'run', file, trips)
                 found[name] += json.loads(file.read_text())[WARM_UP:trips]
     return [
-        _row(f'closed_loop_{name}{recorded}', peer, found[name + recorded], found[name + of_peer])
+        latency_row(
+            f'closed_loop_{name}{recorded}',
+            peer,
+            found[name + recorded],
+            found[name + of_peer],
+            goal=GOAL if peer == FLOOR else None,
+        )
         for name in ('one_process', 'three_processes')
         for recorded in ('', '_recorded')
         for peer, of_peer in ((FLOOR, '_floor'), (SINGLE_THREADED, '_single_threaded'))
@@ -55,10 +61,10 @@ def measure(repetitions=REPETITIONS, trips=TRIPS):
     ]
 
 
-def _row(benchmark, peer, ours, others):
+def latency_row(benchmark, peer, ours, others, goal=None):
+    """Return a row of two series of latencies [s]."""
     median, peer_median = statistics.median(ours), statistics.median(others)
     p99, peer_p99 = (statistics.quantiles(each, n=100)[-1] for each in (ours, others))
-    goal = GOAL if peer == FLOOR else None
     return row(benchmark, peer, median, peer_median, goal=goal) | {
         'over_peer': median / peer_median,
         'ours_p99_s': p99,
@@ -79,8 +85,10 @@ def _composed(folder, file, trips, record=False):
     ).wait(GIVE_UP)
 
 
-def _separate(folder, file, trips, record=False, **parameters):
-    plan = plan_of(folder, record, simulator={'duration': _duration(trips)}, **parameters)
+def separate(folder, file, trips, record=False, companions=(), simulator=None, **parameters):
+    """Run the loop in three processes, and write its round trips [s]; see `plan_of`."""
+    simulator = {'duration': _duration(trips), **(simulator or {})}
+    plan = plan_of(folder, record, companions, simulator=simulator, **parameters)
     with nodes_of(
         plan, simulator=[str(HERE / 'measured.py'), str(file), 'simulator_node']
     ) as nodes:

@@ -18,12 +18,13 @@ def start(*arguments, **options):
     return subprocess.Popen([sys.executable, *arguments], env=ENVIRONMENT, **(quiet | options))
 
 
-def plan_of(folder, record=True, **parameters):
+def plan_of(folder, record=True, companions=(), **parameters):
     """Return the plan of a run of the demonstration without a launcher.
 
     Args:
         folder: of the run, new.
         record: whether there is a recorder.
+        companions: what looks on.
         parameters: by kind of node, that differ from the demonstration's; `all` for every node.
     """
     of_all = parameters.pop('all', {})
@@ -34,7 +35,9 @@ def plan_of(folder, record=True, **parameters):
     }
     if record:
         overrides['recorder'] = {**of_all, **parameters.get('recorder', {})}
-    plan = make_plan(config_path('demo.yaml'), overrides, folder, record=record)
+    plan = make_plan(
+        config_path('demo.yaml'), overrides, folder, record=record, companions=companions
+    )
     plan.write()
     return plan
 

@@ -30,6 +30,7 @@ BENCHMARKS = (
     'latent_dynamics',
     'graph_training',
     'closed_loop',
+    'companions',
     'lockstep_run',
     'realtime_run',
     'start_up',

@@ -85,6 +85,8 @@ def test_arguments_that_are_no_ros_arguments(run_here, arguments, words):
             ['observer:=kalman', 'measure_delay:=true', 'delay:=0.01'],
             ('measure_delay', 'delay 0', 'not both'),
         ),
+        ('markers', ['network:=paper_1'], ('paper_2_extended_m5', 'trained on paper_2')),
+        ('markers', ["frame:=''"], ("'world'",)),
         ('controller', ['actuated_mass:=3'], ('mass 3', 'fixed')),
         ('controller', ['target:=simulation:9@1'], ('simulation:9@1', '[1, 2, 3, 4, 5, 6, 7]')),
         ('controller', ['target:=simulation:1@5000'], ('5000', '0 to 1000')),
@@ -138,6 +140,7 @@ def test_bad_target_files(run_here, tmp_path, content, words):
             ['--set', 'encoder.observer=kalman', '--set', 'encoder.actuated_mass=122'],
             ('actuated_mass', '162, got 122', 'observer'),
         ),
+        (['--markers', '--composed'], ('--markers with --composed', 'start `markers_node`')),
         (['--config', __file__], ('expected a ROS 2 parameter file',)),
     ],
 )

@@ -13,12 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
 
 from dpc_ros.bag import read_run
 from dpc_ros.bag.mcap_file import read_messages
 from dpc_ros.bag.repair import repair
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import PROCESS_READING
+from dpc_ros.nodes.markers_node import MARKERS
 from dpc_ros.nodes.messages import from_stamp
 from dpc_ros.nodes.stop import PARENT_VARIABLE
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
@@ -326,13 +328,15 @@ class Launched:
                 self.output += part.decode()
         return text in self.output
 
-    def nodes(self):
-        """Return the processes that the launcher has started and that have not ended."""
+    def nodes(self, kind=''):
+        """Return those that the launcher has started, of a kind, and that have not ended."""
         mark = f'{PARENT_VARIABLE}={self.launcher.pid}'.encode()
+        program = f'dpc_ros.nodes.{kind}_node'.encode() if kind else b''
         found = []
         for environment in Path('/proc').glob('[0-9]*/environ'):
             with contextlib.suppress(OSError):
-                if mark in environment.read_bytes().split(b'\0'):
+                command = environment.with_name('cmdline').read_bytes()
+                if mark in environment.read_bytes().split(b'\0') and program in command:
                     found.append(int(environment.parent.name))
         return found
 
@@ -348,21 +352,53 @@ class Launched:
     most=5,
 )
 def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, assert_repeats):
-    """In lockstep nothing shows it afterwards."""
-    options = ('--silence', '2', '--set=simulator.resend_interval=0.05')
+    """In lockstep nothing shows it afterwards. A companion has restarts of its own."""
+    options = ('--silence', '2', '--set=simulator.resend_interval=0.05', '--markers')
     run = Launched(domain, observer, tmp_path / 'run', *options)
-    run.begin('encoder', 'controller')
+    run.begin('encoder', 'controller', 'markers')
     run.wait(lambda: len(run.stamps) > 2, 'the first steps')
     run.signal('encoder', signal.SIGSTOP)
     run.signal('controller', signal.SIGKILL)
+    run.signal('markers', signal.SIGKILL)
     code, output = run.end()
     assert code == 0, output
     assert_repeats(tmp_path / 'run' / 'bag')
     assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
+    assert 'markers was ended by SIGKILL: started anew (1 of 3)' in output
     assert 'encoder was killed: it has not reported' in output
-    assert 'restarts    controller 1, encoder 1\n' in output
+    assert 'restarts    controller 1, markers 1, encoder 1\n' in output
     log = (tmp_path / 'run' / 'log' / 'encoder.log').read_text()
     assert log.count('configured') == 2
+
+
+@pytest.mark.faults(
+    fault='a companion of the launcher, the markers node, crashes more often than `--restarts`',
+    promise='given up, said on the terminal; the run ends bit for bit as without',
+    mode='lockstep',
+    most=5,
+)
+@pytest.mark.long
+def test_a_companion_that_crashes_is_no_matter_to_the_run(
+    domain, observer, tmp_path, assert_repeats
+):
+    run = Launched(domain, observer, tmp_path / 'run', '--markers', '--restarts', '1')
+    run.wait(lambda: run.nodes('markers'), 'the companion')
+    (first,) = run.nodes('markers')
+    domain.will_leave_behind(first)
+    os.kill(first, signal.SIGKILL)
+    pictures = []
+    observer.node.create_subscription(MarkerArray, 'markers', pictures.append, MARKERS.qos)
+    run.wait(lambda: pictures, 'markers of what holds the body')
+    run.signal('markers', signal.SIGKILL)
+    run.wait(lambda: run.has_said('the run goes on without it'), 'the companion to be given up')
+    run.begin()
+    code, output = run.end()
+    assert code == 0, output
+    assert_repeats(tmp_path / 'run' / 'bag')
+    assert 'markers was ended by SIGKILL: started anew (1 of 1)' in output
+    assert 'markers was ended by SIGKILL, and --restarts 1 allows no more; the run goes' in output
+    assert 'restarts    markers 1\n' in output
+    run.assert_nothing_is_left()
 
 
 @pytest.mark.faults(

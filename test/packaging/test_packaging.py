@@ -31,6 +31,7 @@ EXECUTABLES = (
     'controller_node',
     'recorder_node',
     'player_node',
+    'markers_node',
     'launcher',
 )
 NO_SOURCE = ('build', 'install', 'log', 'dist', 'runs', 'bags', 'docs')
