@@ -29,11 +29,7 @@ def table(convergence: Convergence) -> str:
         _line(_COLUMNS),
         *(format_row(row) for row in course(convergence)),
         '',
-        f'final nMSE     {_number(convergence.final_nmse)}'
-        + ('  FAILED: the body ended farther from the target' if convergence.failed else ''),
-        f'settling time  {_settling(convergence)}',
-        f'peak force     {_number(convergence.peak_force, "N")}',
-        f'RMS force      {_number(convergence.rms_force, "N")}',
+        *(f'{name:<13}  {text}' for name, text in describe_outcome(convergence).items()),
         '',
         *_messages(run),
     ]
@@ -60,6 +56,17 @@ def describe_target(convergence: Convergence) -> str:
     kind = 'configuration' if target.latent is None else 'latent'
     name = f' of {target.frame_id}' if target.frame_id else ''
     return f'{kind}{name} from {convergence.target_time:g} s' + suffix
+
+
+def describe_outcome(convergence: Convergence) -> dict[str, str]:
+    """Return in words what a run comes down to, by the name of each number."""
+    failure = '  FAILED: the body ended farther from the target' if convergence.failed else ''
+    return {
+        'final nMSE': _number(convergence.final_nmse) + failure,
+        'settling time': _settling(convergence),
+        'peak force': _number(convergence.peak_force, 'N'),
+        'RMS force': _number(convergence.rms_force, 'N'),
+    }
 
 
 def course(convergence: Convergence) -> list[dict[str, float]]:
