@@ -86,7 +86,9 @@ class Run:
         force: u [N].
         external_force_stamp: of each external force [ns].
         external_force: [N].
-        targets: in the order of their stamps, of equal stamps the last received last.
+        targets: in the order of their stamps, of equal stamps the last received last: those that
+            the controller announced as in force, from when on each counted; where it announced
+            none, those that were published.
         network_identifier: `<network>@<digest>`.
         autoencoder_identifier: `<checkpoint>@<digest>`, empty where no latent state is logged.
         messages: number of messages of each topic of the bag.
@@ -141,22 +143,24 @@ def read_run(path: str | Path, namespace: str | None = None, progress: bool = Fa
     contents = read_contents(file)
     namespace = choose_namespace(file, contents, namespace)
     signals = {f'{namespace}/{name}': _Signal(kind) for name, kind in _READERS.items()}
-    targets: list[Target] = []
-    target_topic = f'{namespace}/target'
+    targets: dict[str, list[Target]] = {
+        f'{namespace}/{name}': [] for name in ('target_in_force', 'target')
+    }
     check_types(file, contents, namespace)
-    topics = [*signals, target_topic]
+    topics = [*signals, *targets]
     total = sum(contents.messages.get(topic, 0) for topic in topics)
     messages = read_messages(file, topics)
     for message in tqdm(
         messages, desc='reading', total=total, delay=2, disable=not progress, leave=False
     ):
-        if message.topic == target_topic:
-            targets.append(read_target(message.content))
+        if message.topic in targets:
+            targets[message.topic].append(read_target(message.content))
         else:
             signals[message.topic].add(message)
     body, latent, force, push = signals.values()
     for topic, signal in signals.items():
         signal.check(file, topic)
+    announced, published = targets.values()
     present = {topic: signal for topic, signal in signals.items() if contents.messages.get(topic)}
     return Run(
         path=file,
@@ -171,7 +175,7 @@ def read_run(path: str | Path, namespace: str | None = None, progress: bool = Fa
         force=force.column(0).reshape(-1, 2),
         external_force_stamp=push.stamps(),
         external_force=push.column(0).reshape(-1, 2),
-        targets=tuple(sorted(targets, key=lambda target: target.stamp_ns)),
+        targets=tuple(sorted(announced or published, key=lambda target: target.stamp_ns)),
         network_identifier=body.frame_id,
         autoencoder_identifier=latent.frame_id,
         messages=contents.messages,

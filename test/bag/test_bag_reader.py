@@ -254,6 +254,20 @@ def _bag(record, log):
     return _BAGS[id(log)]
 
 
+def test_a_target_counts_from_when_the_controller_says(log_type, record):
+    # One that is to count at once says nothing of when that was.
+    log = log_type(
+        configuration=[(t, [0.0], [0.0]) for t in range(0, 5 * STEP, STEP)],
+        targets=[(0, [1.0], False), (0, [2.0], False)],
+        targets_in_force=[(STEP, [1.0], False), (3 * STEP, [2.0], False)],
+    )
+    targets = read_run(record(log)).targets
+    assert [(each.stamp_ns, *each.configuration) for each in targets] == [
+        (STEP, 1.0),
+        (3 * STEP, 2.0),
+    ]
+
+
 def test_arrivals_are_those_of_the_first_message_of_a_stamp(log_type, record):
     rows = [(t, [float(k)], [0.0]) for k, t in enumerate([0, STEP, STEP, 2 * STEP])]
     arrivals = read_run(record(log_type(configuration=rows))).arrivals
