@@ -5,6 +5,7 @@
   const ARRAYS = { f4: Float32Array, f8: Float64Array, i4: Int32Array, u2: Uint16Array, u4: Uint32Array };
   const MISSING = 65535; // level of a position that is not known
   const MARGIN = { l: 56, r: 12, t: 8, b: 26 }; // px around the curves
+  const BUTTONS = ['toImage', 'zoom2d', 'pan2d', 'zoomIn2d', 'zoomOut2d', 'resetScale2d'];
   const LEGEND = 26; // px above them
   const STAGE = { l: 38, r: 12, t: 10, b: 22 }; // px around the body
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 60, 600]; // simulated per wall second
@@ -46,13 +47,14 @@
       ...layout,
       autosize: true,
       margin: { ...MARGIN, t: layout.showlegend ? LEGEND : MARGIN.t, autoexpand: false },
-      paper_bgcolor: 'rgba(0,0,0,0)',
-      plot_bgcolor: 'rgba(0,0,0,0)',
+      paper_bgcolor: colour('surface'),
+      plot_bgcolor: colour('surface'),
       font: { color: colour('text'), family: style.fontFamily, size: 12 },
       hoverlabel: { bgcolor: colour('surface'), bordercolor: colour('line'), font: { color: colour('text') } },
       legend: { orientation: 'h', x: 0, y: 1, yanchor: 'bottom', itemsizing: 'constant', bgcolor: 'rgba(0,0,0,0)' },
+      modebar: { bgcolor: 'rgba(0,0,0,0)', color: colour('soft'), activecolor: colour('text') },
       hoverdistance: -1,
-      xaxis: { ...layout.xaxis, ...axis },
+      xaxis: { ...layout.xaxis, ...axis, spikecolor: colour('soft'), spikethickness: 1 },
       yaxis: { ...layout.yaxis, ...axis, tickfont: { size: layout.yaxis.type === 'log' ? 10 : 12 } },
     };
   }
@@ -92,7 +94,7 @@
         displaylogo: false,
         doubleClick: 'reset',
         responsive: true,
-        modeBarButtonsToRemove: ['lasso2d', 'select2d', 'autoScale2d'],
+        modeBarButtons: [BUTTONS],
       });
       holder.append(cursor);
       plot.isDrawn = true;

@@ -101,8 +101,8 @@ def _verdict(convergence: Convergence) -> tuple[str, str]:
     if convergence.failed:
         return 'bad', '✕ Failed: ended farther from its target than it began'
     if np.isnan(convergence.settling_time):
-        return 'open', 'Not settled'
-    return 'good', '✓ Settled'
+        return 'open', 'Has not settled'
+    return 'good', f'✓ Settled at nMSE {convergence.final_nmse:.3g}'
 
 
 def _story(convergence: Convergence) -> str:
