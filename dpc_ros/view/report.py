@@ -24,6 +24,7 @@ _FOOTER = (
     f'Made by dpc_ros {__version__}. This file holds all that it shows. A curve of more than '
     f'{LARGEST_CURVE} samples is drawn through the smallest and the largest of each stretch.'
 )
+_SCRIPTS = tuple(f'report_{name}.js' for name in ('content', 'plots', 'body', 'player'))
 _PLACE = re.compile(r'\{\{(\w+)\}\}')
 
 
@@ -64,7 +65,7 @@ def report_page(
     except NothingToShowError as error:
         stage = f'<h2>No animation</h2><p class="missing">{escape(str(error))}</p>'
     figures = {plot.key: plot.figure for plot in plots if plot.figure is not None}
-    scripts = {'plotly': get_plotlyjs(), 'script': _asset('report.js')}
+    scripts = {'plotly': get_plotlyjs(), 'script': '\n'.join(map(_asset, _SCRIPTS))}
     return _fill(
         _asset('report.html'),
         {

@@ -19,6 +19,7 @@ LARGEST_CURVE = 4000  # points; of more samples the extremes of each stretch are
 LARGEST_CLOUD = 1000  # points that no line joins, each of which costs a browser more
 LARGEST_SHOWN = 1e30  # a body that exploded has numbers that no axis can take
 _LARGEST_LATENT = 12  # coordinates up to which each has a curve of its target, too
+_LATENT_CURVES = 40  # at most
 _FEW = 2  # points that make no curve
 _GREY = '#8a8a8a'
 _MILLISECONDS = 1e3  # per second
@@ -112,18 +113,19 @@ def _nmse(convergence: Convergence) -> Panel:
 
 def _latent(convergence: Convergence) -> Panel:
     latent = convergence.run.latent
-    panel = Panel(
-        'latent',
-        'Latent state',
-        'ξ',
-        'What the controller sees of the body. Dashed: where it is to go, ξ̄ = E(q̄).',
-    )
+    panel = Panel('latent', 'Latent state', 'ξ', 'What the controller sees of the body.')
     if not len(latent):
         return _without(panel, 'No latent state is in the log.')
     stamps, values = _latent_targets(convergence)
     with_targets = len(stamps) > 0 and latent.shape[1] <= _LARGEST_LATENT
+    remarks = [panel.caption]
+    if with_targets:
+        remarks.append('Dashed: where it is to go, ξ̄ = E(q̄).')
+    if latent.shape[1] > _LATENT_CURVES:
+        remarks.append(f'The first {_LATENT_CURVES} of {latent.shape[1]} coordinates.')
+    panel = replace(panel, caption=' '.join(remarks))
     curves = []
-    for i, coordinate in enumerate(latent.T):
+    for i, coordinate in enumerate(latent.T[:_LATENT_CURVES]):
         name, colour = f'ξ{_subscript(i)}', COLOURS[i % len(COLOURS)]
         curves.append(_curve(name, convergence.latent_time, coordinate, colour))
         if with_targets:

@@ -93,6 +93,7 @@ def test_all_is_drawn_moves_with_one_time_and_fits_window_and_theme(write_page, 
         assert page.evaluate(PICTURE) != before
 
     scrub_to(page, 0)
+    page.locator('.speed').select_option('10')
     page.locator('.play').focus()
     page.keyboard.press('Space')
     page.locator('.play[aria-label=Play]').wait_for()
