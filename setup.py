@@ -47,7 +47,12 @@ setup(
     license='Apache-2.0',
     python_requires='>=3.10',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={PACKAGE: ['*/__init__.pyi']},  # lazy_loader reads them
+    package_data={
+        PACKAGE: [
+            '*/__init__.pyi',  # lazy_loader reads them
+            *(f'view/*.{kind}' for kind in ('css', 'html', 'js')),  # the page of a run
+        ]
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -56,6 +56,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     command.add_argument('--namespace', help='of the topics, where the log has several')
     command.add_argument('--results', help='JSON to write the table to, as in docs/results')
     command.add_argument('--figure', help='PNG to write; default convergence.png in the bag')
+
+    command = commands.add_parser('report', help=report.__doc__, description=report.__doc__)
+    command.set_defaults(command=report)
+    command.add_argument('bag', help='folder or MCAP file of the log')
+    command.add_argument('--network', help='of the body, where it is not a shipped one')
+    command.add_argument('--checkpoint', help='of the encoder, where it is not a shipped one')
+    command.add_argument('--namespace', help='of the topics, where the log has several')
+    command.add_argument('--output', help='HTML to write; default report.html in the bag')
     add_rerun_command(commands)
 
 
@@ -116,9 +124,7 @@ def converge(options: argparse.Namespace) -> None:
     convergence, notes = measure(
         options.bag, options.network, options.checkpoint, options.namespace
     )
-    folder = Path(options.bag)
-    folder = folder if folder.is_dir() else folder.parent
-    figure = Path(options.figure or folder / 'convergence.png')
+    figure = Path(options.figure or _folder(options.bag) / 'convergence.png')
     print(table(convergence))
     for note in notes:
         print(note)
@@ -127,6 +133,28 @@ def converge(options: argparse.Namespace) -> None:
     if options.results:
         write_results(options.results, [*course(convergence), summary(convergence)])
         print(f'results     {options.results}')
+
+
+def report(options: argparse.Namespace) -> None:
+    """Write a page about a log that any browser opens: the body in motion, plots, tables."""
+    from dpc_ros.bag import inform
+    from dpc_ros.bag.report import converge as measure
+    from dpc_ros.view.report import FILE_NAME, write_report
+
+    convergence, notes = measure(
+        options.bag, options.network, options.checkpoint, options.namespace, progress=True
+    )
+    path = Path(options.output or _folder(options.bag) / FILE_NAME)
+    write_report(convergence, inform(options.bag, progress=True), notes, path)
+    for note in notes:
+        print(note)
+    print(f'report      {path}')
+
+
+def _folder(bag: str) -> Path:
+    """Return the folder of a bag that is named by it, or by one of its files."""
+    path = Path(bag)
+    return path if path.is_dir() else path.parent
 
 
 def add_rerun_command(commands: Any) -> None:

@@ -64,6 +64,8 @@ from dpc_ros.results import read_results, source_commit, write_results  # noqa: 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+pytest_plugins = ['logs']  # of test/fixtures
+
 hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
 hypothesis.settings.load_profile('dpc_ros')
 

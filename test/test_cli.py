@@ -28,7 +28,7 @@ COMMANDS = [
     'top',
     'bag',
 ]
-BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'rerun']
+BAG_COMMANDS = ['info', 'repair', 'compare', 'export', 'converge', 'report', 'rerun']
 
 
 @pytest.fixture
@@ -179,6 +179,8 @@ def test_bad_usage_shows_the_usage(dpc, arguments):
         (['bag', 'export', 'bad.mcap', 'bad.npz'], 'bad.npz: expected a new place'),
         (['bag', 'export', 'bad.mcap', 'new.txt'], 'expected a name that ends in one of'),
         (['bag', 'converge', 'bad.mcap'], 'bad.mcap'),
+        (['bag', 'report', 'nothing'], 'nothing: expected the folder of a bag'),
+        (['bag', 'report', 'bad.mcap'], 'bad.mcap'),
         (['bag', 'rerun', 'bad.mcap', '--output', 'new'], '--output: expected --over-dds'),
     ],
     ids=lambda value: ' '.join(value) if isinstance(value, list) else '',

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import pytest
 
-PACKAGES = ('autoencoder', 'bag', 'control', 'data', 'network', 'reduction')
+PACKAGES = ('autoencoder', 'bag', 'control', 'data', 'network', 'reduction', 'view')
 
 
 @pytest.mark.parametrize('package', PACKAGES)

@@ -1,8 +1,9 @@
 """Logs of runs: rosbag2 bags written and read without ROS, and the convergence they show."""
 
-from .convergence import Convergence, Energy, analyse
+from .convergence import Convergence, Energy, Goal, analyse, goals_in_force
 from .convergence_table import course, summary, table
 from .figure import draw
+from .information import Information, inform
 from .mcap_file import (
     Contents,
     Message,
@@ -24,6 +25,7 @@ from .metadata import (
 from .reader import Run, Target, read_run
 from .signals import Deviation
 from .splits import BagError
+from .timing import Timing, measure_timing
 from .topic import QosProfile, Topic
 from .writer import BagWriter, further_folder
 
@@ -41,16 +43,22 @@ __all__ = [
     'Convergence',
     'Deviation',
     'Energy',
+    'Goal',
+    'Information',
     'Message',
     'QosProfile',
     'RawMessage',
     'Run',
     'Target',
+    'Timing',
     'Topic',
     'analyse',
     'course',
     'draw',
     'further_folder',
+    'goals_in_force',
+    'inform',
+    'measure_timing',
     'read_contents',
     'read_messages',
     'read_raw',

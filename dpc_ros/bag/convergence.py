@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,21 @@ class Energy:
 
 
 @dataclass(frozen=True, eq=False)
+class Goal:
+    """A target that a controller takes, in both coordinates.
+
+    Attributes:
+        target: as it was published.
+        configuration: q̄ [m].
+        latent: ξ̄, E(q̄) where the target is a configuration; None without an autoencoder.
+    """
+
+    target: Target
+    configuration: Float[np.ndarray, ' n']
+    latent: Float[np.ndarray, ' m'] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Convergence:
     """What the log of a run shows. All times count from the first configuration.
 
@@ -67,6 +83,9 @@ class Convergence:
         peak_force: largest |u| [N]; NaN without a force.
         rms_force: root of the mean of |u|² over the logged forces [N]; NaN without a force.
         energy: None where the mechanics is not given.
+        goals: all usable targets in the order of their stamps.
+        mechanics: what the energies were measured with, None where it is not given.
+        autoencoder: what latent error and goals were measured with, likewise.
     """
 
     run: Run
@@ -84,6 +103,9 @@ class Convergence:
     peak_force: float
     rms_force: float
     energy: Energy | None
+    goals: tuple[Goal, ...] = ()
+    mechanics: Mechanics | None = None
+    autoencoder: Autoencoder | None = None
 
     @property
     def failed(self) -> bool:
@@ -137,24 +159,23 @@ def analyse(
         peak_force=float(force_norm.max()) if has_force else np.nan,
         rms_force=_root_mean_square(force_norm) if has_force else np.nan,
         energy=None if mechanics is None else _energy(run, mechanics),
+        goals=tuple(goals),
+        mechanics=mechanics,
+        autoencoder=autoencoder,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Goal:
-    """A usable target as q̄, and as ξ̄ where an autoencoder is given."""
-
-    target: Target
-    configuration: Float[np.ndarray, ' n']
-    latent: Float[np.ndarray, ' m'] | None
+def goals_in_force(stamps: Int[np.ndarray, ' k'], goals: Sequence[Goal]) -> Int[np.ndarray, ' k']:
+    """Return which goal is in force at each stamp [ns], −1 for none; the newest wins."""
+    return np.searchsorted([goal.target.stamp_ns for goal in goals], stamps, side='right') - 1
 
 
-def _goal(target: Target, run: Run, autoencoder: Autoencoder | None) -> _Goal | None:
+def _goal(target: Target, run: Run, autoencoder: Autoencoder | None) -> Goal | None:
     if target.configuration is not None:
         if not _usable(target.configuration, run.configuration.shape[1]):
             return None
         latent = None if autoencoder is None else autoencoder.encode(target.configuration)
-        return _Goal(target, target.configuration, latent)
+        return Goal(target, target.configuration, latent)
     if autoencoder is None:
         raise ValueError(
             f'target {target.frame_id!r}: expected an autoencoder to decode the latent target '
@@ -163,24 +184,19 @@ def _goal(target: Target, run: Run, autoencoder: Autoencoder | None) -> _Goal | 
         )
     if target.latent is None or not _usable(target.latent, autoencoder.latent_size):
         return None
-    return _Goal(target, autoencoder.decode(target.latent), target.latent)
+    return Goal(target, autoencoder.decode(target.latent), target.latent)
 
 
 def _usable(values: np.ndarray, size: int) -> bool:
     return values.shape == (size,) and bool(np.isfinite(values).all())
 
 
-def _goal_at(stamps: Int[np.ndarray, ' k'], goals: list[_Goal]) -> Int[np.ndarray, ' k']:
-    """Return which goal is in force at each stamp, −1 for none; the newest wins."""
-    return np.searchsorted([goal.target.stamp_ns for goal in goals], stamps, side='right') - 1
-
-
 def _normalised_mse(
-    run: Run, goals: list[_Goal]
-) -> tuple[Float[np.ndarray, ' frames'], _Goal | None, Bool[np.ndarray, ' frames']]:
+    run: Run, goals: list[Goal]
+) -> tuple[Float[np.ndarray, ' frames'], Goal | None, Bool[np.ndarray, ' frames']]:
     """Return nMSE(t), the last goal in force and the frames in which it was."""
     nmse = np.full(len(run.configuration), np.nan)
-    in_force = _goal_at(run.configuration_stamp, goals)
+    in_force = goals_in_force(run.configuration_stamp, goals)
     first, goal = len(nmse), None
     for i in np.unique(in_force[in_force >= 0]):
         # A target that is published again is the same one: its error has begun long ago.
@@ -209,9 +225,9 @@ def _settling_time(
     return float(time[settled]) if settled < len(time) else np.nan
 
 
-def _latent_error(run: Run, goals: list[_Goal]) -> Float[np.ndarray, ' latents']:
+def _latent_error(run: Run, goals: list[Goal]) -> Float[np.ndarray, ' latents']:
     error = np.full(len(run.latent), np.nan)
-    in_force = _goal_at(run.latent_stamp, goals)
+    in_force = goals_in_force(run.latent_stamp, goals)
     for i in np.unique(in_force[in_force >= 0]):
         frames = in_force == i
         with np.errstate(all='ignore'):

@@ -21,6 +21,8 @@ def table(convergence: Convergence) -> str:
     A row shows what was the case at its time: the last sample at or before it.
     """
     run = convergence.run
+    outcome = describe_outcome(convergence)
+    nmse, *others = (f'{name:<13}  {text}' for name, text in outcome.items())
     lines = [
         f'network     {run.network_identifier or _NOTHING}',
         f'checkpoint  {run.autoencoder_identifier or _NOTHING}',
@@ -29,11 +31,8 @@ def table(convergence: Convergence) -> str:
         _line(_COLUMNS),
         *(format_row(row) for row in course(convergence)),
         '',
-        f'final nMSE     {_number(convergence.final_nmse)}'
-        + ('  FAILED: the body ended farther from the target' if convergence.failed else ''),
-        f'settling time  {_settling(convergence)}',
-        f'peak force     {_number(convergence.peak_force, "N")}',
-        f'RMS force      {_number(convergence.rms_force, "N")}',
+        f'{nmse}  FAILED: the body ended farther from the target' if convergence.failed else nmse,
+        *others,
         '',
         *_messages(run),
     ]
@@ -60,6 +59,16 @@ def describe_target(convergence: Convergence) -> str:
     kind = 'configuration' if target.latent is None else 'latent'
     name = f' of {target.frame_id}' if target.frame_id else ''
     return f'{kind}{name} from {convergence.target_time:g} s' + suffix
+
+
+def describe_outcome(convergence: Convergence) -> dict[str, str]:
+    """Return in words what a run comes down to, by the name of each number."""
+    return {
+        'final nMSE': _number(convergence.final_nmse),
+        'settling time': _settling(convergence),
+        'peak force': _number(convergence.peak_force, 'N'),
+        'RMS force': _number(convergence.rms_force, 'N'),
+    }
 
 
 def course(convergence: Convergence) -> list[dict[str, float]]:
@@ -113,6 +122,8 @@ def _number(value: float, unit: str = '') -> str:
 
 
 def _settling(convergence: Convergence) -> str:
+    if convergence.target is None:
+        return _NOTHING
     if np.isnan(convergence.settling_time):
         return 'never'
     text = _number(convergence.settling_time, 's')

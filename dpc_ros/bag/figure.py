@@ -9,7 +9,7 @@ import numpy as np
 
 from dpc_ros.bag.convergence import Convergence
 from dpc_ros.bag.convergence_table import describe_target
-from dpc_ros.figure import new_figure, save_figure, tidy
+from dpc_ros.figure import COLOURS, new_figure, save_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _SIZE = (10.0, 10.0)  # inch
 _DARK, _GREY = '#222222', '#8a8a8a'
-_COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')  # Okabe and Ito
 _LARGEST_LEGEND = 8  # curves
 
 
@@ -50,13 +49,13 @@ def _draw_nmse(panel: Axes, convergence: Convergence) -> None:
     if not shown.any():
         return _say(panel, 'no target in force')
     panel.set_yscale('log')
-    panel.plot(convergence.time[shown], convergence.nmse[shown], color=_COLOURS[0], lw=1.6)
+    panel.plot(convergence.time[shown], convergence.nmse[shown], color=COLOURS[0], lw=1.6)
     if convergence.final_nmse > 0 and np.isfinite(convergence.final_nmse):
         label = f'final {convergence.final_nmse:.3g}'
         panel.axhline(convergence.final_nmse, color=_GREY, lw=1, ls='--', label=label)
     if np.isfinite(convergence.settling_time):
         label = f'settled at {convergence.settling_time:.3g} s'
-        panel.axvline(convergence.settling_time, color=_COLOURS[2], lw=1.2, ls=':', label=label)
+        panel.axvline(convergence.settling_time, color=COLOURS[2], lw=1.2, ls=':', label=label)
     if convergence.target_time > 0:
         label = f'last target from {convergence.target_time:.3g} s'
         panel.axvline(convergence.target_time, color=_DARK, lw=1, label=label)
@@ -67,7 +66,7 @@ def _draw_latent(panel: Axes, convergence: Convergence) -> None:
     error, latent = convergence.latent_error, convergence.run.latent
     if error is not None and np.isfinite(error).any():
         panel.set_ylabel('latent error [–]')
-        panel.plot(convergence.latent_time, error, color=_COLOURS[0], lw=1.6, label='|ξ − ξ̄|')
+        panel.plot(convergence.latent_time, error, color=COLOURS[0], lw=1.6, label='|ξ − ξ̄|')
         panel.set_ylim(bottom=0)
     elif len(latent):
         panel.set_ylabel('latent state ξ [–]')
@@ -75,7 +74,7 @@ def _draw_latent(panel: Axes, convergence: Convergence) -> None:
             panel.plot(
                 convergence.latent_time,
                 coordinate,
-                color=_COLOURS[i % len(_COLOURS)],
+                color=COLOURS[i % len(COLOURS)],
                 lw=1.3,
                 label=f'ξ{_subscript(i)}',
             )
@@ -92,7 +91,7 @@ def _draw_force(panel: Axes, convergence: Convergence) -> None:
     time, held = convergence.force_time, 'steps-post'
     for i, axis in enumerate('xy'):
         component, label = convergence.force[:, i], f'$u_{axis}$'
-        panel.plot(time, component, color=_COLOURS[i], label=label, drawstyle=held, lw=1.3)
+        panel.plot(time, component, color=COLOURS[i], label=label, drawstyle=held, lw=1.3)
     norm = convergence.force_norm
     panel.plot(time, norm, color=_GREY, label='|u|', drawstyle=held, lw=1.3, zorder=1)
     return _legend(panel)
@@ -108,7 +107,7 @@ def _draw_energy(panel: Axes, convergence: Convergence) -> None:
         'elastic': energy.elastic,
         'gravitational': energy.gravitational,
     }
-    for colour, (name, values) in zip(_COLOURS, curves.items(), strict=False):
+    for colour, (name, values) in zip(COLOURS, curves.items(), strict=False):
         panel.plot(convergence.time, values, color=colour, lw=1.3, label=name)
     panel.plot(convergence.time, energy.total, color=_DARK, lw=1.6, label='total', zorder=1)
     return _legend(panel)

@@ -17,6 +17,7 @@ from dpc_ros.bag.topic import NANOSECONDS
 
 _SHOWN = 60  # characters of a value of a record
 _NOTHING = '–'
+TOPIC_COLUMNS = ('topic', 'type', 'messages', 'rate [Hz]', 'longest gap [s]', 'lost', 'repeated')
 
 
 @dataclass(eq=False)
@@ -141,10 +142,7 @@ def information_table(information: Information) -> str:
         *(f'file        {file.name}, {file.stat().st_size} bytes' for file in contents.files),
         '',
     ]
-    rows: list[tuple[str, ...]] = [
-        ('topic', 'type', 'messages', 'rate [Hz]', 'longest gap [s]', 'lost', 'repeated')
-    ]
-    rows += [_row(name, topic) for name, topic in information.topics.items()]
+    rows = [TOPIC_COLUMNS, *topic_rows(information)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         texts = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
@@ -170,6 +168,11 @@ def _models(topic: TopicInformation) -> list[str]:
 def _controllers(topic: TopicInformation) -> list[str]:
     """Return the frames that name the controller of a force."""
     return [frame for frame in topic.frame_ids if frame != without_controller(frame)]
+
+
+def topic_rows(information: Information) -> list[tuple[str, ...]]:
+    """Return what `TOPIC_COLUMNS` say of each topic, in words."""
+    return [_row(name, topic) for name, topic in information.topics.items()]
 
 
 def _row(name: str, topic: TopicInformation) -> tuple[str, ...]:

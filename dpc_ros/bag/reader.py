@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from tqdm import tqdm
 
+from dpc_ros.bag.force_frame import read_force_frame
 from dpc_ros.bag.mcap_file import (
     Contents,
     Message,
@@ -32,6 +34,7 @@ _TYPES = {
     'control_force': _WRENCH,
     'external_force': _WRENCH,
 }
+_LATEST = np.iinfo(np.int64).max  # ns; a file may hold any 64 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,21 @@ class Target:
 
 
 @dataclass(frozen=True, eq=False)
+class Arrivals:
+    """When the messages of a topic came: of the first of each stamp, in the order of the stamps.
+
+    Attributes:
+        published_ns: when it was sent [ns since the epoch].
+        received_ns: when it was recorded [ns since the epoch].
+        lost: messages of the topic that were known to be missing by then.
+    """
+
+    published_ns: Int[np.ndarray, ' stamps']
+    received_ns: Int[np.ndarray, ' stamps']
+    lost: Int[np.ndarray, ' stamps']
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
     """The log of a closed loop, each signal in the order of its stamps, each stamp once.
 
@@ -68,7 +86,9 @@ class Run:
         force: u [N].
         external_force_stamp: of each external force [ns].
         external_force: [N].
-        targets: in the order of their stamps, of equal stamps the last received last.
+        targets: in the order of their stamps, of equal stamps the last received last: those that
+            the controller announced as in force, from when on each counted; where it announced
+            none, those that were published.
         network_identifier: `<network>@<digest>`.
         autoencoder_identifier: `<checkpoint>@<digest>`, empty where no latent state is logged.
         messages: number of messages of each topic of the bag.
@@ -78,6 +98,8 @@ class Run:
         setbacks: of each topic of the loop, how often a stamp was lower than the one before; a
             simulator that starts anew sets its clock back.
         metadata: the bag's records of keys and values, by name.
+        actuated_mass: number of the mass that the first force names, None without.
+        arrivals: of each topic of the loop with messages, by its name without the namespace.
     """
 
     path: Path
@@ -100,15 +122,18 @@ class Run:
     losses: dict[str, int] = field(default_factory=dict)
     setbacks: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    actuated_mass: int | None = None
+    arrivals: dict[str, Arrivals] = field(default_factory=dict)
 
 
-def read_run(path: str | Path, namespace: str | None = None) -> Run:
+def read_run(path: str | Path, namespace: str | None = None, progress: bool = False) -> Run:
     """Read the log of a run.
 
     Args:
         path: folder of the bag, or an MCAP file.
         namespace: of the topics, `body_2` or `/body_2`; `/` is none. Left out, the only one in
             which a configuration occurs.
+        progress: show a bar.
 
     Raises:
         BagError: the path is no bag, the file is damaged, there is no configuration message, no
@@ -118,17 +143,24 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
     contents = read_contents(file)
     namespace = choose_namespace(file, contents, namespace)
     signals = {f'{namespace}/{name}': _Signal(kind) for name, kind in _READERS.items()}
-    targets: list[Target] = []
-    target_topic = f'{namespace}/target'
+    targets: dict[str, list[Target]] = {
+        f'{namespace}/{name}': [] for name in ('target_in_force', 'target')
+    }
     check_types(file, contents, namespace)
-    for message in read_messages(file, [*signals, target_topic]):
-        if message.topic == target_topic:
-            targets.append(read_target(message.content))
+    topics = [*signals, *targets]
+    total = sum(contents.messages.get(topic, 0) for topic in topics)
+    messages = read_messages(file, topics)
+    for message in tqdm(
+        messages, desc='reading', total=total, delay=2, disable=not progress, leave=False
+    ):
+        if message.topic in targets:
+            targets[message.topic].append(read_target(message.content))
         else:
             signals[message.topic].add(message)
     body, latent, force, push = signals.values()
     for topic, signal in signals.items():
         signal.check(file, topic)
+    announced, published = targets.values()
     present = {topic: signal for topic, signal in signals.items() if contents.messages.get(topic)}
     return Run(
         path=file,
@@ -143,7 +175,7 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
         force=force.column(0).reshape(-1, 2),
         external_force_stamp=push.stamps(),
         external_force=push.column(0).reshape(-1, 2),
-        targets=tuple(sorted(targets, key=lambda target: target.stamp_ns)),
+        targets=tuple(sorted(announced or published, key=lambda target: target.stamp_ns)),
         network_identifier=body.frame_id,
         autoencoder_identifier=latent.frame_id,
         messages=contents.messages,
@@ -151,7 +183,16 @@ def read_run(path: str | Path, namespace: str | None = None) -> Run:
         losses={topic: signal.lost for topic, signal in present.items() if signal is not push},
         setbacks={topic: signal.setbacks for topic, signal in present.items()},
         metadata=contents.metadata,
+        actuated_mass=_mass(force.frame_id),
+        arrivals={topic.rpartition('/')[2]: signal.arrivals() for topic, signal in present.items()},
     )
+
+
+def _mass(frame_id: str) -> int | None:
+    try:
+        return read_force_frame(frame_id).mass
+    except ValueError:
+        return None
 
 
 def _joint_state(content: Any) -> tuple[np.ndarray, ...]:
@@ -176,6 +217,7 @@ class _Signal:
     def __init__(self, read: Callable[[Any], tuple[np.ndarray, ...]]) -> None:
         self._read = read
         self._rows: dict[int, tuple[np.ndarray, ...]] = {}
+        self._arrivals: dict[int, tuple[int, int, int]] = {}
         self._frame_ids: dict[str, int] = {}
         self._last_stamp = 0
         self._sequence = Sequence()
@@ -190,6 +232,8 @@ class _Signal:
             self.repeats += 1
             return
         self._rows[stamp] = self._read(message.content)
+        sent, received = message.publish_time_ns, message.log_time_ns
+        self._arrivals[stamp] = min(sent, _LATEST), min(received, _LATEST), self._sequence.lost
         self._frame_ids.setdefault(message.content.header.frame_id, stamp)
 
     @property
@@ -215,6 +259,10 @@ class _Signal:
 
     def stamps(self) -> np.ndarray:
         return np.array(sorted(self._rows), dtype=np.int64)
+
+    def arrivals(self) -> Arrivals:
+        rows = [self._arrivals[stamp] for stamp in sorted(self._arrivals)]
+        return Arrivals(*np.array(rows, dtype=np.int64).T)
 
     def column(self, part: int) -> np.ndarray:
         if not self._rows:

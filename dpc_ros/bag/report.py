@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import yaml
 
 from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint, with_encoder
 from dpc_ros.bag.convergence import Convergence, analyse
-from dpc_ros.bag.metadata import PARAMETERS_RECORD
+from dpc_ros.bag.metadata import NODE_PARAMETERS_RECORD, PARAMETERS_RECORD
 from dpc_ros.bag.reader import Run, read_run
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics, load_network
 
@@ -19,6 +21,7 @@ def converge(
     network: str | Path | None = None,
     checkpoint: str | Path | None = None,
     namespace: str | None = None,
+    progress: bool = False,
 ) -> tuple[Convergence, list[str]]:
     """Measure the convergence of a logged run.
 
@@ -27,6 +30,7 @@ def converge(
         network: name or path; the shipped one that the log names where left out.
         checkpoint: name or path; likewise.
         namespace: of the topics, the only one in the log where left out.
+        progress: show a bar.
 
     Returns:
         the convergence, and a line for each thing that could not be measured.
@@ -35,10 +39,14 @@ def converge(
         BagError: the bag can't be read.
         ValueError: a given network or checkpoint is not the one of the log.
     """
-    run = read_run(bag, namespace)
+    run = read_run(bag, namespace, progress)
     notes: list[str] = []
     mechanics = _mechanics(run, network, notes)
     autoencoder = _autoencoder(run, checkpoint, notes)
+    decodable = tuple(target for target in run.targets if target.latent is None)
+    if autoencoder is None and len(decodable) < len(run.targets):
+        notes.append('no nMSE of latent targets: they need the checkpoint, too')
+        run = replace(run, targets=decodable)
     return analyse(run, mechanics, autoencoder), notes
 
 
@@ -79,7 +87,7 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
             f'checkpoint: expected that of the log, {run.autoencoder_identifier}, got '
             f'{found.identifier}: name the one that the run was made with'
         )
-    parameters = _parameters(run, 'encoder')
+    parameters = run_parameters(run, 'encoder')
     encoder, iterations = parameters.get('encoder'), parameters.get('projection_iterations')
     if encoder == 'projection' and isinstance(iterations, int):
         return with_encoder(found.autoencoder(), encoder, iterations)
@@ -88,7 +96,7 @@ def _autoencoder(run: Run, name: str | Path | None, notes: list[str]) -> Autoenc
 
 def _gravity(run: Run) -> Gravity | None:
     """Return the field that the simulator's parameters in the log name, if they are there."""
-    parameters = _parameters(run, 'simulator')
+    parameters = run_parameters(run, 'simulator')
     try:
         return Gravity(
             parameters['gravity_magnitude'], parameters.get('gravity_angle', Gravity.angle)
@@ -97,13 +105,23 @@ def _gravity(run: Run) -> Gravity | None:
         return None
 
 
-def _parameters(run: Run, node: str) -> dict[str, Any]:
-    """Return the parameters of a node that the log holds, empty where it holds none."""
-    record = run.metadata.get(PARAMETERS_RECORD, {})
+def run_parameters(run: Run, node: str) -> dict[str, Any]:
+    """Return the parameters of a node that the log holds, empty where it holds none.
+
+    What the node answered when the recorder asked it wins over the parameter file of the run.
+    """
+    full_name = f'{run.namespace}/{node}'
+    of_file = run.metadata.get(PARAMETERS_RECORD, {}).get('yaml', '')
+    answered = run.metadata.get(NODE_PARAMETERS_RECORD, {}).get(full_name, '')
+    names = ('/**', node, f'/{node}', f'/**/{node}', full_name)
+    return _sections(of_file, names) | _sections(answered, names)
+
+
+def _sections(text: str, names: Iterable[str]) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     try:
-        sections = yaml.safe_load(record.get('yaml', ''))
-        for name in ('/**', node, f'/{node}', f'/**/{node}'):
+        sections = yaml.safe_load(text)
+        for name in names:
             parameters |= sections.get(name, {}).get('ros__parameters', {})
     # Whatever another recorder wrote there, it is not the parameters of a node.
     except (yaml.YAMLError, AttributeError, TypeError, ValueError, RecursionError):

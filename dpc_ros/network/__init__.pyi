@@ -1,7 +1,7 @@
 """The body: a planar mass-spring-damper network, its mechanics and its integration in time."""
 
 from .body import Body
-from .drawing import draw_figure, draw_network, draw_springs
+from .drawing import draw_figure, draw_network, draw_springs, picture_limits
 from .generator import GeneratorSettings, generate_network
 from .integration import INTEGRATORS, Integrator, Trajectory, simulate
 from .many import simulate_many
@@ -31,6 +31,7 @@ __all__ = [
     'draw_springs',
     'generate_network',
     'load_network',
+    'picture_limits',
     'save_network',
     'simulate',
     'simulate_many',

@@ -67,7 +67,7 @@ def draw_network(
             path_effects=[withStroke(linewidth=1.5, foreground='white')],
             zorder=4,
         )
-    low, high = _limits(position)
+    low, high = picture_limits(position)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel='x [m]', ylabel='y [m]')
     axes.set_aspect('equal')
     tidy(axes)
@@ -109,7 +109,7 @@ def draw_figure(
         NetworkError: the configuration is not one of this network, or not finite.
         OSError: the file can't be written.
     """
-    low, high = _limits(_position(network, configuration))
+    low, high = picture_limits(_position(network, configuration))
     size = _LONGER_SIDE * (high - low) / (high - low).max()
     figure = new_figure(size[0] + _LEGEND, size[1])
     axes = figure.subplots()
@@ -122,7 +122,10 @@ def _position(network: MassSpringNetwork, configuration: np.ndarray | None) -> n
     return network.rest_position if configuration is None else network.positions(configuration)
 
 
-def _limits(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def picture_limits(
+    position: Float[np.ndarray, 'masses 2'],
+) -> tuple[Float[np.ndarray, ' 2'], Float[np.ndarray, ' 2']]:
+    """Return lower left and upper right corner of a picture that has masses well inside it [m]."""
     low, high = position.min(axis=0), position.max(axis=0)
     longer = max((high - low).max(), _SMALLEST)
     half = np.maximum(0.5 * (high - low) + _MARGIN * longer, 0.5 * _NARROWEST * longer)

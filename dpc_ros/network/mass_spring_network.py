@@ -136,7 +136,8 @@ class MassSpringNetwork:
             )
         positions = np.empty((*shape[:-1], *self.rest_position.shape))
         positions[..., self.fixed, :] = self.rest_position[self.fixed]
-        positions[..., self.mobile, :] = np.reshape(configuration, (*shape[:-1], -1, 2))
+        mobile = (*shape[:-1], len(self.mobile), 2)
+        positions[..., self.mobile, :] = np.reshape(configuration, mobile)
         return positions
 
     def strains(

@@ -86,7 +86,7 @@ def launch(plan: LaunchPlan, composed: bool) -> int:
     if interrupted:
         kept = f'what was recorded is in {plan.folder}'
         return _complain(f'stopped; {kept}{started_anew}', _INTERRUPTED)
-    return _report(plan, outcome)
+    return report(plan, outcome)
 
 
 @dataclass
@@ -204,7 +204,12 @@ def _node_class(kind: str) -> Callable[[Context], LoopNode]:
     return getattr(module, f'{kind.capitalize()}Node')
 
 
-def _report(plan: LaunchPlan, outcome: Outcome) -> int:
+def report(plan: LaunchPlan, outcome: Outcome) -> int:
+    """Show how a run that went to its end converged, and where everything is.
+
+    Returns:
+        exit code: 0, or 1 where it can't be shown.
+    """
     began_anew = {plan.leader, RECORDER} & outcome.restarts.keys()
     if plan.records('configuration') and not began_anew:
         try:
@@ -222,17 +227,24 @@ def _report(plan: LaunchPlan, outcome: Outcome) -> int:
 
 
 def _show_convergence(plan: LaunchPlan) -> Path:
-    from dpc_ros.bag.report import converge  # takes a second, in which the nodes have started
+    # These take a second, in which the nodes have started.
+    from dpc_ros.bag.information import inform
+    from dpc_ros.bag.report import converge
+    from dpc_ros.view.report import FILE_NAME, write_report
 
     convergence, notes = converge(
         plan.bag,
         plan.parameters['simulator']['network'],
         plan.parameters['encoder']['checkpoint'],
     )
-    figure = plan.folder / 'convergence.png'
-    print(table(convergence))
-    for note in notes:
-        print(note)
+    page, figure = plan.folder / FILE_NAME, plan.folder / 'convergence.png'
+    try:
+        write_report(convergence, inform(plan.bag), notes, page)
+        print(f'report      {page.resolve().as_uri()}\n')
+    finally:  # a full disk takes the page, not the table
+        print(table(convergence))
+        for note in notes:
+            print(note)
     draw(convergence, figure)
     return figure
 

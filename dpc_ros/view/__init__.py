@@ -1,4 +1,4 @@
-"""Logs of runs: rosbag2 bags written and read without ROS, and the convergence they show."""
+"""What people look at: bodies in colour, the page of a log, the live viewer; no ROS."""
 
 from lazy_loader import attach_stub
 

@@ -252,3 +252,36 @@ def _bag(record, log):
     if id(log) not in _BAGS:
         _BAGS[id(log)] = record(log)
     return _BAGS[id(log)]
+
+
+def test_a_target_counts_from_when_the_controller_says(log_type, record):
+    # One that is to count at once says nothing of when that was.
+    log = log_type(
+        configuration=[(t, [0.0], [0.0]) for t in range(0, 5 * STEP, STEP)],
+        targets=[(0, [1.0], False), (0, [2.0], False)],
+        targets_in_force=[(STEP, [1.0], False), (3 * STEP, [2.0], False)],
+    )
+    targets = read_run(record(log)).targets
+    assert [(each.stamp_ns, *each.configuration) for each in targets] == [
+        (STEP, 1.0),
+        (3 * STEP, 2.0),
+    ]
+
+
+def test_arrivals_are_those_of_the_first_message_of_a_stamp(log_type, record):
+    rows = [(t, [float(k)], [0.0]) for k, t in enumerate([0, STEP, STEP, 2 * STEP])]
+    arrivals = read_run(record(log_type(configuration=rows))).arrivals
+    assert arrivals.keys() == {'configuration'}
+    times = arrivals['configuration']
+    assert (times.received_ns - 10**18).tolist() == [0, 1000, 3000]
+    assert (times.published_ns - 10**18).tolist() == [0, 999, 2997]
+
+
+@pytest.mark.parametrize(
+    ('frame', 'mass'), [('mass_162@1f3a9c02', 162), ('mass_3', 3), ('mass_', None), ('', None)]
+)
+def test_the_actuated_mass_is_that_of_the_forces(log_type, record, frame, mass):
+    log = log_type(
+        configuration=[(0, [0.0], [0.0])], force=[(0, (1.0, 2.0))], force_frames=(frame,)
+    )
+    assert read_run(record(log)).actuated_mass == mass

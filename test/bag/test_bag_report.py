@@ -7,8 +7,8 @@ import pytest
 
 from dpc_ros import cli
 from dpc_ros.autoencoder import Checkpoint, load_checkpoint, save_checkpoint
-from dpc_ros.bag import PARAMETERS_RECORD
-from dpc_ros.bag.report import converge
+from dpc_ros.bag import NODE_PARAMETERS_RECORD, PARAMETERS_RECORD, read_run
+from dpc_ros.bag.report import converge, run_parameters
 from dpc_ros.network import Gravity, Mechanics, save_network
 
 STEP = 5_000_000  # ns
@@ -113,6 +113,35 @@ def test_parameters_that_say_no_gravity_are_noted(small_bag, network_path, param
     convergence, notes = converge(small_bag(parameters=parameters), network_path)
     assert WITHOUT_GRAVITY in notes
     assert (convergence.energy.gravitational == 0).all()
+
+
+def test_what_a_node_answered_wins_over_the_file_of_the_run(log_type, record):
+    texts = {'/body_2/controller': '/body_2/controller: {ros__parameters: {law: paper}}'}
+    log = log_type(
+        configuration=[(0, [0.0], [0.0])],
+        namespace='/body_2',
+        metadata={
+            PARAMETERS_RECORD: {'yaml': '/**: {ros__parameters: {law: lqr, rate: 200.0}}'},
+            NODE_PARAMETERS_RECORD: texts,
+        },
+    )
+    run = read_run(record(log))
+    assert run_parameters(run, 'controller') == {'law': 'paper', 'rate': 200.0}
+    assert run_parameters(run, 'encoder') == {'law': 'lqr', 'rate': 200.0}
+
+
+def test_a_latent_target_without_its_checkpoint_is_left_out_and_said(
+    log_type, record, small_network, network_path
+):
+    rest = small_network.rest_configuration
+    log = log_type(
+        configuration=[(STEP * k, rest, np.zeros_like(rest)) for k in range(3)],
+        targets=[(0, np.zeros(3), True)],
+        network=small_network.identifier,
+    )
+    convergence, notes = converge(record(log), network_path)
+    assert convergence.target is None
+    assert any('no nMSE of latent targets' in note for note in notes)
 
 
 def test_a_figure_that_cannot_be_written_is_said_after_the_table(

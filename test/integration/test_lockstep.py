@@ -31,6 +31,9 @@ def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, 
     assert_repeats(tmp_path / 'run' / 'bag')
     assert 'final nMSE' in output
     assert (tmp_path / 'run' / 'convergence.png').stat().st_size > 0
+    page = tmp_path / 'run' / 'report.html'
+    assert f'report      {page.as_uri()}\n\nnetwork ' in output
+    assert page.read_text().endswith('</html>\n')
 
 
 @pytest.mark.parametrize(

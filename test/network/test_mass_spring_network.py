@@ -267,6 +267,7 @@ def test_positions_hold_the_fixed_masses_and_the_configuration(random_network, r
     np.testing.assert_array_equal(positions[network.fixed], network.rest_position[network.fixed])
     many = np.stack([q, network.rest_configuration])
     np.testing.assert_array_equal(network.positions(many)[0], positions)
+    assert network.positions(many[:0]).shape == (0, *network.rest_position.shape)
     with pytest.raises(NetworkError, match='finite numbers'):
         network.positions(q[:-1])
     with pytest.raises(NetworkError, match='finite numbers'):

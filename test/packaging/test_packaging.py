@@ -188,6 +188,14 @@ def test_wheel_holds_every_file_of_config(prefix):
             assert copy.read_bytes() == path.read_bytes()
 
 
+def test_wheel_holds_what_a_page_is_made_of(prefix):
+    (installed,) = prefix.glob('lib*/python*/site-packages/dpc_ros/view')
+    assets = [path for path in (ROOT / 'dpc_ros/view').glob('report*') if path.suffix != '.py']
+    assert {path.suffix for path in assets} == {'.css', '.html', '.js'}
+    for path in assets:
+        assert (installed / path.name).read_bytes() == path.read_bytes()
+
+
 def test_wheel_puts_its_commands_on_the_path(prefix, prefix_environment, tmp_path):
     for name in ('dpc', *EXECUTABLES):
         assert os.access(prefix / 'bin' / name, os.X_OK)
