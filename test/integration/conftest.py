@@ -184,6 +184,15 @@ def read_every_log(tmp_path, assert_readers_agree):
         assert_readers_agree(metadata.parent)
 
 
+@pytest.fixture(scope='session', autouse=True)
+def only_what_tests_make_is_collected():
+    """What has been loaded stays, and looking for garbage in it took longer than many a test."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.fixture
 def domain():
     with domain_id() as number:
