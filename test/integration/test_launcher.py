@@ -349,7 +349,7 @@ class Launched:
 )
 def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, assert_repeats):
     """In lockstep nothing shows it afterwards."""
-    options = ('--silence', '2', '--set=simulator.resend_interval=0.05')
+    options = ('--duration', '2', '--silence', '2', '--set=simulator.resend_interval=0.05')
     run = Launched(domain, observer, tmp_path / 'run', *options)
     run.begin('encoder', 'controller')
     run.wait(lambda: len(run.stamps) > 2, 'the first steps')
@@ -357,7 +357,7 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
     run.signal('controller', signal.SIGKILL)
     code, output = run.end()
     assert code == 0, output
-    assert_repeats(tmp_path / 'run' / 'bag')
+    assert_repeats(tmp_path / 'run' / 'bag', steps=400)
     assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
     assert 'encoder was killed: it has not reported' in output
     assert 'restarts    controller 1, encoder 1\n' in output
