@@ -21,8 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.bag import LOSSES_RECORD, read_run
-from dpc_ros.bag.mcap_file import read_messages
+from dpc_ros.bag import LOSSES_RECORD, read_raw, read_run
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.discovery import announce_often
@@ -326,7 +325,7 @@ def assert_nothing_lost():
 
     def check(bag: Path):
         numbers = {'/configuration': [], '/latent_state': [], '/control_force': []}
-        for message in read_messages(bag, numbers):
+        for message in read_raw(bag, numbers):
             numbers[message.topic].append(message.sequence)
         for topic, found in numbers.items():
             assert found == list(range(1, len(found) + 1)), topic
