@@ -11,9 +11,11 @@ import statistics
 import struct
 import subprocess
 import sys
+from collections import Counter
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, partial, wraps
+from inspect import isfunction
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -21,9 +23,9 @@ from pathlib import Path
 os.environ.setdefault('OMP_NUM_THREADS', '1')  # tests run side by side, and wait on each other
 
 import hypothesis
+import jaxtyping
 import numpy as np
 import pytest
-from jaxtyping import install_import_hook
 from mcap.exceptions import McapError
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
@@ -43,7 +45,32 @@ SHAPE_CHECKED = (
     'dpc_ros.reduction.simulation',
     'dpc_ros.control',
 )
-install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
+CHECKED_CALLS = 10  # of each kind: those of a long simulation are thousands of one kind
+_calls = Counter()
+
+
+def _kind(argument):
+    return (argument.shape, argument.dtype) if isinstance(argument, np.ndarray) else type(argument)
+
+
+def _checked_at_first(function, typechecker, check=jaxtyping.jaxtyped):
+    """Check the shapes of a function in its first calls with arguments of a kind, in each test."""
+    if not isfunction(function):
+        return check(function, typechecker=typechecker)
+    checked = cache(lambda: check(function, typechecker=typechecker))
+
+    @wraps(function)
+    def call(*args, **kwargs):
+        kinds = (function.__code__, *map(_kind, args), *map(_kind, kwargs.values()))
+        _calls[kinds] += 1
+        return (function if _calls[kinds] > CHECKED_CALLS else checked())(*args, **kwargs)
+
+    return call
+
+
+# What the import hook decorates every function with.
+jaxtyping.jaxtyped = lambda typechecker: partial(_checked_at_first, typechecker=typechecker)
+jaxtyping.install_import_hook(SHAPE_CHECKED, 'beartype.beartype')
 
 from dpc_ros.autoencoder import load_checkpoint  # noqa: E402
 from dpc_ros.bag.mcap_file import read_contents, read_messages  # noqa: E402
@@ -107,6 +134,10 @@ class _BySubject(LoadScopeScheduling):
     def _split_scope(self, nodeid):
         is_on_dds = nodeid.startswith(('test/integration/', 'test/nodes/', 'test/packaging/'))
         return 'dds' if is_on_dds else nodeid.partition('::')[0]
+
+
+def pytest_runtest_setup():
+    _calls.clear()
 
 
 def pytest_xdist_make_scheduler(config, log):

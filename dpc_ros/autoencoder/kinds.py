@@ -59,6 +59,8 @@ def check_kind(name: str) -> None:
     Raises:
         KindError: it is neither.
     """
+    if name in _BUILT_IN:  # to look for others reads a file of every package that is installed
+        return
     known = [*_BUILT_IN, *_registered()]
     if name not in known:
         raise KindError(

@@ -82,7 +82,7 @@ def check_law(name: str) -> None:
     Raises:
         ValueError: there is none.
     """
-    if name not in law_names():
+    if name not in LAWS and name not in law_names():
         raise ValueError(
             f'unknown control law {name!r}: choose one of {", ".join(law_names())}; one of another '
             f'package is there once that package is installed with an entry point in the group '

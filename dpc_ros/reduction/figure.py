@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -111,22 +111,29 @@ def animate(
     canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(comparisons), sharex=True, sharey=True, squeeze=False)[0]
     figure.set_dpi(_GIF_RESOLUTION)
+    for panel, (name, comparison) in zip(panels, comparisons.items(), strict=True):
+        _draw_bodies(panel, comparison, 0, animated=True)
+        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal', xlabel='x [m]')
+        panel.set_title(f'{name}, 0 s', animated=True)
+        tidy(panel)
+    panels[0].set_ylabel('y [m]')
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=3, frameon=False)
+    canvas.draw()
+    still = canvas.copy_from_bbox(figure.bbox)  # all but the bodies and the time
     pictures = []
     every = every or max(round(_PICTURE / first.step), 1)
     frames = range(0, len(first.time), every)
     for frame in tqdm(frames, desc='drawing', unit='picture', disable=not progress):
+        canvas.restore_region(still)
         for panel, (name, comparison) in zip(panels, comparisons.items(), strict=True):
-            panel.clear()
-            _draw_bodies(panel, comparison, frame)
-            panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
-            panel.set(title=f'{name}, {first.time[frame]:.2f} s', xlabel='x [m]')
-            tidy(panel)
-        panels[0].set_ylabel('y [m]')
-        if not figure.legends:
-            handles, labels = panels[0].get_legend_handles_labels()
-            figure.legend(handles, labels, loc='outside upper center', ncols=3, frameon=False)
-        canvas.draw()
-        figure.set_layout_engine('none')  # as it is laid out now, which takes most of the time
+            panel.title.set_text(f'{name}, {first.time[frame]:.2f} s')
+            for springs, (motion, *_) in zip(panel.collections, _MOTIONS, strict=True):
+                configuration = getattr(comparison, motion).configuration[frame]
+                position = comparison.network.positions(configuration)
+                springs.set_segments(position[comparison.network.springs])
+            for artist in (*panel.collections, panel.title):
+                panel.draw_artist(artist)
         image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert('RGB')
         pictures.append(image.quantize(_GIF_COLOURS))
     with replacing(path) as partial:
@@ -140,12 +147,12 @@ def animate(
         )
 
 
-def _draw_bodies(panel: Axes, comparison: Comparison, frame: int) -> None:
+def _draw_bodies(panel: Axes, comparison: Comparison, frame: int, **style: Any) -> None:
     for motion, label, colour, _ in _MOTIONS:
-        configuration = getattr(comparison, motion).configuration[frame]
         width = 1.6 if motion == 'full' else 0.6
-        style = {'color': colour, 'lw': width, 'label': label}
-        draw_springs(comparison.network, panel, configuration, **style)
+        look = {'color': colour, 'lw': width, 'label': label, **style}
+        configuration = getattr(comparison, motion).configuration[frame]
+        draw_springs(comparison.network, panel, configuration, **look)
 
 
 def _limits(comparisons: Sequence[Comparison]) -> tuple[np.ndarray, np.ndarray]:

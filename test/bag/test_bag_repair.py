@@ -121,10 +121,19 @@ def assert_saves(content, expected, folder, also_rosbags=False):
 def test_a_small_log_cut_off_at_every_byte_keeps_every_complete_chunk(tiny, tmp_path, monkeypatch):
     # Thousands of waits for the disk would be most of the time.
     monkeypatch.setattr(os, 'fsync', lambda file: None)
-    ends = {end for end, _ in tiny.until}
+    path, before = tmp_path / 'cut.mcap', None
     for length in range(len(tiny.content)):
         expected = tiny.of_first(length)
-        file = assert_saves(tiny.content[:length], expected, tmp_path, length in ends)
+        path.write_bytes(tiny.content[:length])
+        found = salvage(path)
+        assert sum(found.messages.values()) == len(expected)
+        assert found.losses
+        # What is written depends on what the walk has found, however far it came behind that.
+        sound = {key: value for key, value in vars(found).items() if key not in ('size', 'losses')}
+        if sound == before:
+            continue
+        before = sound
+        file = assert_saves(tiny.content[:length], expected, tmp_path, also_rosbags=True)
         # Its metadata record is the first thing in it.
         assert (file is not None) == (length >= tiny.metadata_end)
         assert file is None or file.losses

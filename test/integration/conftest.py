@@ -21,8 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from dpc_ros.autoencoder import load_checkpoint, with_encoder
-from dpc_ros.bag import LOSSES_RECORD, read_run
-from dpc_ros.bag.mcap_file import read_messages
+from dpc_ros.bag import LOSSES_RECORD, read_raw, read_run
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.discovery import announce_often
@@ -184,6 +183,15 @@ def read_every_log(tmp_path, assert_readers_agree):
         assert_readers_agree(metadata.parent)
 
 
+@pytest.fixture(scope='session', autouse=True)
+def only_what_tests_make_is_collected():
+    """What has been loaded stays, and looking for garbage in it took longer than many a test."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.fixture
 def domain():
     with domain_id() as number:
@@ -292,15 +300,19 @@ def reference(in_process):
 
 @pytest.fixture
 def assert_repeats(reference):
-    """Assert that a bag holds an in-process run, bit for bit, and return what was read."""
+    """Assert that a bag holds an in-process run, or its first steps, and return what was read.
 
-    def check(bag: Path, reference=reference):
+    Bit for bit.
+    """
+
+    def check(bag: Path, reference=reference, steps=None):
         run = read_run(bag)
-        stamps = np.arange(len(reference.configuration)) * 5_000_000
+        states = slice(None if steps is None else steps + 1)
+        stamps = np.arange(len(reference.configuration))[states] * 5_000_000
         for signal_stamps in (run.configuration_stamp, run.latent_stamp, run.force_stamp):
             np.testing.assert_array_equal(signal_stamps, stamps)
         for name in ('configuration', 'velocity', 'latent', 'latent_velocity', 'force'):
-            np.testing.assert_array_equal(getattr(run, name), getattr(reference, name))
+            np.testing.assert_array_equal(getattr(run, name), getattr(reference, name)[states])
         assert not any(run.losses.values()), run.losses
         return run
 
@@ -313,7 +325,7 @@ def assert_nothing_lost():
 
     def check(bag: Path):
         numbers = {'/configuration': [], '/latent_state': [], '/control_force': []}
-        for message in read_messages(bag, numbers):
+        for message in read_raw(bag, numbers):
             numbers[message.topic].append(message.sequence)
         for topic, found in numbers.items():
             assert found == list(range(1, len(found) + 1)), topic

@@ -152,10 +152,10 @@ def test_launcher_refuses_before_it_starts_anything(run_here, tmp_path, argument
 
 
 @pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
-def test_launcher_passes_on_the_failure_of_a_node(domain, tmp_path, mode):
-    code, output = domain.run(
-        'launcher', '--output', str(tmp_path / 'run'), '--target', 'simulation:8@1', *mode
-    )
+def test_launcher_passes_on_the_failure_of_a_node(domain, run_here, tmp_path, mode):
+    run = run_here if mode else domain.run
+    arguments = ['--output', str(tmp_path / 'run'), '--no-record', *mode]
+    code, output = run('launcher', *arguments, '--target', 'simulation:8@1')
     assert code == 1
     assert_one_clear_error(output, 'controller', 'simulation:8@1')
 

@@ -23,6 +23,12 @@ ORDERS = [
     for order in itertools.permutations(LOOP)
 ]
 
+# That nodes give the same bits from processes of their own, the demonstration shows in every run.
+MODES = [
+    pytest.param((), id='processes', marks=pytest.mark.long),
+    pytest.param(('--composed',), id='composed'),
+]
+
 
 @pytest.mark.parametrize('mode', [(), ('--composed',)], ids=['processes', 'composed'])
 def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, mode):
@@ -45,8 +51,9 @@ def test_launcher_repeats_the_in_process_loop(domain, tmp_path, assert_repeats, 
         ('paper_2_extended_m5', 'projection'),
     ],
 )
+@pytest.mark.parametrize('mode', MODES)
 def test_every_kind_of_encoder_gives_the_same(
-    domain, tmp_path, assert_repeats, in_process, checkpoint, encoder
+    domain, tmp_path, assert_repeats, in_process, checkpoint, encoder, mode
 ):
     # The law that has no equilibrium to solve for, which takes long with some decoders.
     chosen = [
@@ -55,7 +62,7 @@ def test_every_kind_of_encoder_gives_the_same(
         for name, value in (('checkpoint', checkpoint), ('encoder', encoder))
     ]
     output_folder = ['--output', str(tmp_path / 'run'), '--duration', '0.25']
-    code, output = domain.run('launcher', *output_folder, *chosen, '--law', 'paper')
+    code, output = domain.run('launcher', *output_folder, *chosen, '--law', 'paper', *mode)
     assert code == 0, output
     expected = in_process(checkpoint, encoder, steps=50, law_name='paper')
     assert_repeats(tmp_path / 'run' / 'bag', expected)
@@ -64,7 +71,10 @@ def test_every_kind_of_encoder_gives_the_same(
 @pytest.mark.parametrize(
     'number', [1, *(pytest.param(number, marks=pytest.mark.long) for number in (2, 3, 4, 5))]
 )
-def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_process, number):
+@pytest.mark.parametrize('mode', MODES)
+def test_a_run_of_the_experiment_repeats(
+    domain, tmp_path, assert_repeats, in_process, number, mode
+):
     """One of the 50 of `dpc paper control`, with integral action beside."""
     with config_path('control', 'paper_targets.csv').open(newline='') as file:
         row = list(csv.DictReader(file))[number - 1]
@@ -74,7 +84,7 @@ def test_a_run_of_the_experiment_repeats(domain, tmp_path, assert_repeats, in_pr
         'launcher',
         *('--output', str(tmp_path / 'run'), '--mass', mass, '--target', target),
         *('--law', 'lqr', '--set', 'controller.integral_gain=0.5'),
-        *('--set', 'controller.integral_delay=1.0'),
+        *('--set', 'controller.integral_delay=1.0', *mode),
     )
     assert code == 0, output
     expected = in_process(mass=int(mass), target=target, integral_gain=0.5, integral_delay=1.0)
@@ -90,10 +100,11 @@ def test_every_law_gives_the_same(domain, tmp_path, assert_repeats, in_process, 
     assert_repeats(tmp_path / 'run' / 'bag', in_process(steps=50, law_name=law))
 
 
+@pytest.mark.parametrize('mode', MODES)
 def test_a_law_of_another_package_gives_the_same(
-    domain, tmp_path, assert_repeats, in_process, spring
+    domain, tmp_path, assert_repeats, in_process, spring, mode
 ):
-    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--law', spring]
+    arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--law', spring, *mode]
     arguments += ['--set', 'controller.law_options={stiffness: 5.0}']
     code, output = domain.run('launcher', *arguments)
     assert code == 0, output
@@ -102,13 +113,7 @@ def test_a_law_of_another_package_gives_the_same(
     assert np.abs(run.force).max() > 0
 
 
-@pytest.mark.parametrize(
-    'mode',
-    [
-        pytest.param((), id='processes', marks=pytest.mark.long),
-        pytest.param(('--composed',), id='composed'),
-    ],
-)
+@pytest.mark.parametrize('mode', MODES)
 def test_estimates_are_the_same(domain, tmp_path, assert_repeats, in_process, mode):
     """Though DDS keeps no order between forces and configurations; for another mass as well."""
     arguments = ['--output', str(tmp_path / 'run'), '--duration', '0.25', '--mass', '122', *mode]
@@ -193,7 +198,7 @@ def test_rclpys_own_executor_gives_the_same(domain, tmp_path, assert_repeats, in
 )
 @pytest.mark.parametrize('order', ORDERS)
 def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, order):
-    made = plan()
+    made = plan(simulator={'duration': 1.0})
     recorder = domain.start_node('recorder', made)
     nodes = {}
     for kind in order:
@@ -204,7 +209,7 @@ def test_any_start_order_gives_the_same(domain, observer, plan, assert_repeats, 
     for process in (nodes['encoder'], nodes['controller'], recorder):
         code, output = domain.stop(process)
         assert code == 0, output
-    assert_repeats(made.bag)
+    assert_repeats(made.bag, steps=200)
 
 
 @pytest.mark.long  # one that is killed and comes late again is in every run

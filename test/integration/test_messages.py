@@ -9,7 +9,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -17,7 +16,10 @@ from std_srvs.srv import SetBool, Trigger
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.control import LatentObserver, ObserverSettings
 from dpc_ros.network import Mechanics, load_network, save_network
+from dpc_ros.nodes.controller_node import ControllerNode
+from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
+from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
 from dpc_ros.reduction import CompressedSystem
 from dpc_ros.threads import single_threaded_algebra
@@ -373,16 +375,15 @@ def test_several_publishers_are_reported(domain, observer):
     assert 'several publishers' in client.stop()
 
 
-@pytest.mark.parametrize('kind', ['simulator', 'encoder', 'controller'])
-def test_parameters_are_described_and_read_only(domain, observer, kind):
-    client = Client(observer, domain, kind)
-    request = DescribeParameters.Request(names=['network', 'executor'])
-    described = client.call(DescribeParameters, 'describe_parameters', request).descriptors
-    assert all(item.description and item.read_only for item in described)
-    assert 'kept_wait_set' in described[1].additional_constraints
-    change = Parameter('network', Parameter.Type.STRING, 'paper_1').to_parameter_msg()
-    request = SetParameters.Request(parameters=[change])
-    result = client.call(SetParameters, 'set_parameters', request)
-    assert not result.results[0].successful
-    assert result.results[0].reason
-    client.stop()
+@pytest.mark.parametrize('node_class', [SimulatorNode, EncoderNode, ControllerNode])
+def test_parameters_are_described_and_read_only(observer, node_class):
+    node = node_class(observer.node.context)
+    try:
+        described = node.describe_parameters(['network', 'executor'])
+        assert all(item.description and item.read_only for item in described)
+        assert 'kept_wait_set' in described[1].additional_constraints
+        (result,) = node.set_parameters([Parameter('network', value='paper_1')])
+        assert not result.successful
+        assert result.reason
+    finally:
+        node.close()

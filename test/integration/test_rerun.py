@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from dpc_ros import cli
 from dpc_ros.bag.rerun import rerun
 from dpc_ros.bag.rerun_table import table
 from dpc_ros.control import load_target
@@ -110,16 +111,6 @@ def changing_run(domain, observer, plan):
     return run
 
 
-def dpc(domain, *arguments):
-    return subprocess.run(
-        [sys.executable, '-m', 'dpc_ros.cli', 'bag', 'rerun', *arguments],
-        env=domain.environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_run, tmp_path):
     gains = {'velocity_weight': 0.1, 'integral_gain': 2.0}
     made, changed = changing_run(gains=gains, integral_gain=0.5, integral_delay=0.2)
@@ -132,7 +123,14 @@ def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_r
     *_, force = kept.deviations
     assert force.first_stamp_ns == changed
 
-    done = dpc(domain, str(made.bag), '--over-dds', '--output', str(tmp_path / 'again'))
+    command = [sys.executable, '-m', 'dpc_ros.cli', 'bag', 'rerun', str(made.bag), '--over-dds']
+    done = subprocess.run(
+        [*command, '--output', str(tmp_path / 'again')],
+        env=domain.environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'identical, bit for bit' in done.stdout
     again = rerun(tmp_path / 'again' / 'bag')
@@ -140,7 +138,7 @@ def test_a_log_run_again_is_identical_in_process_and_over_dds(domain, changing_r
     assert again.is_identical, table(again)
 
 
-def test_a_changed_gain_is_found_where_it_first_acts(domain, changing_run):
+def test_a_changed_gain_is_found_where_it_first_acts(changing_run, capfd):
     """With an observer, too: its forces are those of the log, whatever the law gives now."""
     made = changing_run(
         encoder={'observer': 'kalman'},
@@ -148,11 +146,14 @@ def test_a_changed_gain_is_found_where_it_first_acts(domain, changing_run):
         expected_subscribers=['simulator', 'encoder', 'recorder'],
     )
     assert rerun(made.bag).is_identical
-    done = dpc(domain, str(made.bag), '--set', 'controller.derivative_gain=1.001')
-    assert done.returncode == 1, done.stdout + done.stderr
-    rows = dict(re.findall(r'^(latent|latent_velocity|force) +(.*)$', done.stdout, re.M))
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as end:
+        cli.main(['bag', 'rerun', str(made.bag), '--set', 'controller.derivative_gain=1.001'])
+    shown, _ = capfd.readouterr()
+    assert end.value.code == 1
+    rows = dict(re.findall(r'^(latent|latent_velocity|force) +(.*)$', shown, re.M))
     assert rows['latent'].split()[:3] == [str(STEPS + 1), '0', '0']
     assert rows['force'].split()[:2] == [str(STEPS + 1), '0']
     # At rest there is no velocity that the gain could act on: the first state gives the same force.
     assert rows['force'].split()[3] == '0.005'
-    assert 'DIFFERENT' in done.stdout
+    assert 'DIFFERENT' in shown
