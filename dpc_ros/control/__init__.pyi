@@ -15,6 +15,7 @@ from .equilibrium import (
     EquilibriumError,
     FeedForward,
     feed_forward,
+    pulled_equilibrium,
     reduced_equilibrium,
 )
 from .law import ControlLaw, LawSettings
@@ -64,6 +65,7 @@ __all__ = [
     'load_target',
     'make_law',
     'nearest_equilibrium',
+    'pulled_equilibrium',
     'reduced_equilibrium',
     'run_closed_loop',
     'static_bound',

@@ -6,7 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dpc_ros.control import EquilibriumError, feed_forward, reduced_equilibrium
+from dpc_ros.control import (
+    EquilibriumError,
+    feed_forward,
+    pulled_equilibrium,
+    reduced_equilibrium,
+)
 
 FORCES = arrays(float, 2, elements=st.floats(-1, 1))  # N; the small body weighs 1.8 N
 SIZES = st.sampled_from([2, 3])
@@ -102,3 +107,24 @@ def test_shipped_feed_forward_comes_nearer_than_no_force(shipped, paper_2, paper
     unforced = feed_forward(shipped.system, target, 0.0)
     np.testing.assert_array_equal(unforced.force, 0)
     assert solution.distance < unforced.distance
+
+
+@settings(max_examples=10)
+@given(SIZES, arrays(float, 2, elements=st.floats(-0.2, 0.2)), st.floats(0.1, 2.0))
+def test_what_a_hand_pulls_at_is_held_by_its_force(small_system, size, displacement, bound):
+    system = small_system(size)
+    start = equilibrium_from_rest(system, np.zeros(2))
+    hand = system.full_input_field.T @ system.autoencoder.decode(start) + displacement
+    found = pulled_equilibrium(system, hand, start, bound)
+    np.testing.assert_allclose(system.potential_gradient(found.latent, found.force), 0, atol=1e-7)
+    position = system.full_input_field.T @ system.autoencoder.decode(found.latent)
+    assert found.distance == pytest.approx(np.linalg.norm(hand - position))
+    strength = np.linalg.norm(found.force)
+    assert strength <= bound * (1 + 1e-12)
+    if strength < bound * (1 - 1e-9):
+        assert found.distance <= strength / 50  # the hand's spring has 100 N/m
+
+
+def test_a_hand_that_is_nowhere_is_refused(small_system):
+    with pytest.raises(EquilibriumError, match='finite position'):
+        pulled_equilibrium(small_system(2), np.array([np.nan, 0.0]), np.zeros(2))
