@@ -57,11 +57,12 @@ PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet 
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
 INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation --editable
 
-.PHONY: help demo test test-long bench venv browser clean
+.PHONY: help demo live test test-long bench venv browser clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
+	@echo 'make live   run the nodes until Ctrl-C, with a web page on which to see and steer the body'
 	@echo 'make test   run linters, type checks and all tests'
 	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json'
 	@echo 'make bench  measure everything beside its peers; write docs/results/benchmarks.json'
@@ -71,6 +72,9 @@ help:
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/launcher --config config/demo.yaml $(ARGS)
+
+live: $(VENV)/demo.stamp
+	$(BIN)/launcher --config config/live.yaml --viewer --no-record $(ARGS)
 
 test: $(VENV)/test.stamp browser
 	$(BIN)/python -m ruff check .

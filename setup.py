@@ -13,6 +13,7 @@ NODES = (
     'recorder_node',
     'player_node',
     'markers_node',
+    'viewer_node',
     'launcher',
 )
 

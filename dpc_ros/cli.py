@@ -315,6 +315,26 @@ def top(options: argparse.Namespace) -> int:
     return show(options.namespace, options.domain, options.once, options.timeout)
 
 
+def view(options: argparse.Namespace) -> None:
+    """Show a log in a browser: the body, its plots, and its time in hand; no ROS needed."""
+    from dpc_ros.bag.report import converge
+    from dpc_ros.view import LogPage, RecordedFrames, address, open_server
+
+    convergence, notes = converge(
+        options.bag, options.network, options.checkpoint, options.namespace
+    )
+    frames = RecordedFrames(convergence)
+    server = open_server(options.host, options.port, str(options.bag), frames.mechanics.network)
+    page = LogPage(server, frames)
+    for note in notes:
+        print(note)
+    print(f'page        {address(server)}')
+    try:
+        page.run(lambda: False)
+    finally:
+        page.close()
+
+
 def _cell(value: object) -> str:
     return (
         f'{value:>14.6g}'
@@ -431,6 +451,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument('--law', help='of `control`: only this law, yours for example')
     command.add_argument('--law-options', default='', help='what a law of yours takes, as YAML')
+
+    command = commands.add_parser('view', help=view.__doc__, description=view.__doc__)
+    command.set_defaults(command=view)
+    command.add_argument('bag', help='folder or MCAP file of the log')
+    command.add_argument('--network', help='of the body, where it is not a shipped one')
+    command.add_argument('--checkpoint', help='of the encoder, where it is not a shipped one')
+    command.add_argument('--namespace', help='of the topics, where the log has several')
+    command.add_argument(
+        '--host', default='127.0.0.1', help='interface to listen on; default this machine alone'
+    )
+    command.add_argument(
+        '--port', type=int, default=8080, help='to listen on, or the next that is free'
+    )
 
     command = commands.add_parser('top', help=top.__doc__, description=top.__doc__)
     command.set_defaults(command=top)

@@ -18,7 +18,7 @@ _TYPES: dict[str, tuple[type, ...]] = {
     'string': (str,),
     'string_array': (list, tuple),
 }
-KINDS = ('simulator', 'encoder', 'controller', 'recorder', 'player', 'markers')
+KINDS = ('simulator', 'encoder', 'controller', 'recorder', 'player', 'markers', 'viewer')
 
 
 class ParameterError(ValueError):

@@ -109,6 +109,7 @@ CHROMIUM_OPTIONS = [
     '--disable-sync',
     '--no-first-run',
 ]
+LONGEST_LOOK = 120.0  # s after which a test gives up on a page; it is drawn without a GPU
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
 _PROMISES = pytest.StashKey[dict]()
@@ -593,6 +594,7 @@ def open_page(browser):
         context = browser.new_context(offline=offline, **options)
         contexts.append(context)
         page = context.new_page()
+        page.set_default_timeout(1e3 * LONGEST_LOOK)
         page.errors = []
         page.on('console', lambda line: line.type == 'error' and page.errors.append(line.text))
         page.on('pageerror', lambda error: page.errors.append(str(error)))
@@ -602,3 +604,17 @@ def open_page(browser):
     yield open_address
     for context in contexts:
         context.close()
+
+
+@pytest.fixture
+def set_field():
+    """Return a call that writes into a field of a viser page, or into that beside a slider."""
+
+    def write(page, name, value):
+        label = page.get_by_text(name, exact=True)
+        row = label.locator('xpath=ancestor::div[.//input or .//textarea][1]')
+        field = row.locator('input, textarea').last
+        field.fill(str(value))
+        field.press('Enter')
+
+    return write

@@ -70,7 +70,7 @@ class MassSpringNetwork:
             if isinstance(value, np.ndarray):
                 object.__setattr__(self, field.name, _frozen(field.name, value))
             elif isinstance(value, int):  # the digest is one of floats
-                object.__setattr__(self, field.name, float(value))
+                object.__setattr__(self, field.name, _float(field.name, value))
         _check(self)
 
     @cached_property
@@ -256,6 +256,13 @@ def _number(content: dict[str, Any], key: str) -> float:
         return float(value)
     except OverflowError:
         raise NetworkError(f'{key}: expected a finite number, got one too large') from None
+
+
+def _float(name: str, value: int) -> float:
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise NetworkError(f'{name}: expected a number of at most 1.8e308') from error
 
 
 def _frozen(key: str, value: np.ndarray) -> np.ndarray:

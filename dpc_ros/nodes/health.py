@@ -16,6 +16,7 @@ from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.window import RoundTrips, Window, jitter, percentiles
 
 DIAGNOSTICS = '/diagnostics'  # topic
+ADDRESS_READING = 'address'  # of the page that a node serves
 PROCESS_READING = 'process id'
 NO_WATCHDOG = 'none'
 WATCHDOG_OK = 'ok'

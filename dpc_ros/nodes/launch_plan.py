@@ -17,9 +17,18 @@ from dpc_ros.parameters import ParameterError, declarations, node_parameters, re
 
 LOOP = ('simulator', 'encoder', 'controller')
 RECORDER = 'recorder'
-COMPANIONS = ('markers',)  # that only look on: the run is the same with or without them
+COMPANIONS = ('markers', 'viewer')  # that only look on: the run is the same with or without them
 NODES = (*LOOP, RECORDER, *COMPANIONS)
 LAUNCHER = 'launcher'
+# What a companion is not given it has of the controller.
+_OF_A_MODEL = (
+    'encoder',
+    'projection_iterations',
+    'actuated_mass',
+    'gravity_magnitude',
+    'gravity_angle',
+    'largest_force',
+)
 _STARTUP_TIMEOUT = 120.0  # s, for nodes that compile their kernels on the first start
 _OUTPUTS = {'simulator': 'configuration', 'encoder': 'latent_state', 'controller': 'control_force'}
 MONITORED = ('configuration', 'control_force')  # topics that the launcher itself reads
@@ -177,9 +186,11 @@ def make_plan(
                 readers.append('encoder')
             parameters[node]['expected_subscribers'] = readers
     models = {
+        **{name: parameters['controller'][name] for name in _OF_A_MODEL},
         'network': parameters['simulator']['network'],
         'checkpoint': parameters['encoder']['checkpoint'],
     }
+    companions = tuple(dict.fromkeys(companions))
     for kind in companions:
         own = sections.get(kind, {}), overrides.get(kind, {})
         parameters[kind] = node_parameters(kind, sections.get('/**', {}), models, *own)
@@ -189,7 +200,7 @@ def make_plan(
         namespace,
         restarts=restarts,
         silence=silence,
-        companions=tuple(companions),
+        companions=companions,
     )
 
 

@@ -250,7 +250,7 @@ def _show_convergence(plan: LaunchPlan) -> Path:
 
 
 def _list_restarts(outcome: Outcome) -> str:
-    return ', '.join(f'{node} {count}' for node, count in outcome.restarts.items())
+    return ', '.join(f'{node} {count}' for node, count in sorted(outcome.restarts.items()))
 
 
 def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
@@ -320,6 +320,13 @@ def _parser() -> argparse.ArgumentParser:
         const='markers',
         default=[],
         help='draw the run for RViz and Foxglove, in a process beside the loop',
+    )
+    parser.add_argument(
+        '--viewer',
+        dest='companions',
+        action='append_const',
+        const='viewer',
+        help='show the run on a web page, in a process beside the loop',
     )
     parser.add_argument('--namespace', default='/', help='of all nodes and topics, as /body_2')
     parser.add_argument(

@@ -25,7 +25,9 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
+from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
@@ -461,7 +463,7 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
     code = 0
     try:
         if node.start():
-            os.nice(node.niceness)
+            _give_way(node.niceness)
             spin_until(executor, lambda: bool(stop or node.failure or node.finished))
             finish(executor, [node])
     except Exception as error:  # of whatever a callback calls; what was recorded is kept
@@ -476,6 +478,22 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
         print(f'error: {node.kind}: {node.failure}', file=sys.stderr)
         return code or 1
     return 0
+
+
+def _give_way(niceness: int) -> None:
+    """Let all threads of this process give way to others; on Linux each has a niceness."""
+    if niceness:
+        for thread in os.listdir('/proc/self/task'):
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
+
+
+def set_period(timer: Timer, seconds: float) -> None:
+    """Let a timer run out after some time [s] from now on, if that is another than so far."""
+    period_ns = round(seconds * NANOSECONDS)
+    if timer.timer_period_ns != period_ns:
+        timer.timer_period_ns = period_ns
+        timer.reset()
 
 
 def spin_until(executor: Executor, condition: Callable[[], bool]) -> None:

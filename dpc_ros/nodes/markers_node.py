@@ -10,8 +10,7 @@ from rclpy.qos import QoSProfile
 from rclpy.timer import Timer
 from visualization_msgs.msg import MarkerArray
 
-from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.loop_node import LoopNode, run_node
+from dpc_ros.nodes.loop_node import LoopNode, run_node, set_period
 from dpc_ros.nodes.marker_scene import BODY, FORCE, RECONSTRUCTION, TARGET, MarkerScene
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.newest import NewestMessages
@@ -68,12 +67,13 @@ class MarkersNode(LoopNode):
     def _tick(self) -> None:
         """Draw, if anyone watches, and be back when the next picture is due."""
         assert self._newest is not None
+        assert self._timer is not None
         watchers = self._markers.get_subscription_count()
         if not watchers:
             self._watchers = 0
             self._newest.close()
             self._onlooker.forget()
-            self._be_back(_LOOK_PERIOD)
+            set_period(self._timer, _LOOK_PERIOD)
             return
         self._newest.listen()
         begin = time.thread_time()
@@ -90,8 +90,9 @@ class MarkersNode(LoopNode):
             self._draw()
             self.health.processed(time.thread_time() - begin)
         spent = time.thread_time() - begin
-        self._be_back(
-            max(1 / self.settings['largest_rate'], spent / self.settings['largest_share'])
+        settings = self.settings
+        set_period(
+            self._timer, max(1 / settings['largest_rate'], spent / settings['largest_share'])
         )
 
     def _draw(self) -> None:
@@ -114,14 +115,6 @@ class MarkersNode(LoopNode):
             origin = onlooker.network.positions(body.configuration)[push.mass]
             scene.show_force(origin, self.settings['force_scale'] * push.force, push.stamp)
         self.publish(self._markers, scene.message())
-
-    def _be_back(self, period: float) -> None:
-        """Tick again after some time [s]."""
-        assert self._timer is not None
-        period_ns = round(period * NANOSECONDS)
-        if self._timer.timer_period_ns != period_ns:
-            self._timer.timer_period_ns = period_ns
-            self._timer.reset()
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -35,11 +35,15 @@ class Sight(NamedTuple):
         stamp: of the message that it is from [ns].
         configuration: q, or what a latent state decodes to [m].
         seen: when it came [s], by the clock of who looks on.
+        velocity: q̇ [m/s], of the body.
+        latent: ξ, where a latent state was decoded.
     """
 
     stamp: int
     configuration: Float[np.ndarray, ' n']
     seen: float
+    velocity: Float[np.ndarray, ' n'] | None = None
+    latent: Float[np.ndarray, ' m'] | None = None
 
 
 class Push(NamedTuple):
@@ -141,12 +145,12 @@ class Onlooker:
 
     def _see_body(self, message: Any, stamp: int, now: float) -> None:
         network = self.network
-        configuration, _ = read_state(message, network.identifier, network.coordinate_names)
-        self.body = Sight(stamp, self._plausible(configuration), now)
+        configuration, velocity = read_state(message, network.identifier, network.coordinate_names)
+        self.body = Sight(stamp, self._plausible(configuration), now, velocity=velocity)
 
     def _see_latent_state(self, message: Any, stamp: int, now: float) -> None:
         latent, _ = read_state(message, self.models['checkpoint'], self._latent_names)
-        self.reconstruction = Sight(stamp, self._decoded(latent), now)
+        self.reconstruction = Sight(stamp, self._decoded(latent), now, latent=latent)
 
     def _see_target(self, message: Any, stamp: int, now: float) -> None:
         network = self.network
@@ -156,7 +160,7 @@ class Onlooker:
             return
         target = read_target(message, network.identifier, network.coordinate_names, latent_size)
         known = self._decoded if target.is_latent else self._plausible
-        self.target = Sight(stamp, known(target.value), now)
+        self.target = Sight(stamp, known(target.value), now, latent=target.latent)
 
     def _see_force(self, message: Any, stamp: int, now: float) -> None:
         frame, force = read_force(message)

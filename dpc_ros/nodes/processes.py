@@ -133,10 +133,7 @@ class NodeProcesses:
             return f'{node} was ended by {signal.Signals(-code).name}'
         log = self._log(node)
         said = log.read_bytes()[self._log_begins[node] :].decode(errors='replace')
-        lines = [line for line in said.splitlines() if line.strip()]
-        errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
-        reason = errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
-        return f'{node} ended with exit code {code}: {reason} (see {log})'
+        return f'{node} ended with exit code {code}: {said_reason(code, said)} (see {log})'
 
     def _log(self, node: str) -> Path:
         return self._plan.folder / 'log' / f'{node}.log'
@@ -149,7 +146,7 @@ class NodeProcesses:
             'PYTHONUNBUFFERED': '1',
         }
         command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
-        with self._log(node).open('ab') as log, _interrupts_wait():
+        with self._log(node).open('ab') as log, interrupts_wait():
             self._log_begins[node] = log.tell()
             self._processes[node] = subprocess.Popen(
                 [*command, *self._plan.ros_arguments(node), *arguments],
@@ -161,8 +158,17 @@ class NodeProcesses:
             )
 
 
+def said_reason(code: int, said: str) -> str:
+    """Return why a program ended with an exit code that is not zero, from what it printed."""
+    if code < 0:
+        return f'ended by {signal.Signals(-code).name}'
+    lines = [line for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
+    return errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
+
+
 @contextlib.contextmanager
-def _interrupts_wait():
+def interrupts_wait():
     """Let a SIGINT wait; for a process that is started now until it says that it can take one."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -6,9 +6,9 @@ import json
 import time
 from collections.abc import Iterable
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from dpc_ros.nodes.health import DIAGNOSTICS, PROCESS_READING
+from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS, PROCESS_READING
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import NodeProcesses
@@ -45,6 +45,7 @@ class Supervision:
         self._silent_for: dict[str, float] = {}  # s, by number of the process
         self._reported: set[str] = set()  # processes whose silence was
         self._given_up: set[str] = set()
+        self._addresses: dict[str, str] = {}  # of the pages that nodes serve
         self._looked_at = time.monotonic()
         self.failure = ''
         self.exit_code = 0
@@ -134,3 +135,11 @@ class Supervision:
             for reading in status.values:
                 if reading.key == PROCESS_READING and reading.value == self._process(status.name):
                     self._silent_for[reading.value] = 0.0
+                    self._announce(status)
+
+    def _announce(self, status: DiagnosticStatus) -> None:
+        """Say once where the page of a node is."""
+        for reading in status.values:
+            if reading.key == ADDRESS_READING and self._addresses.get(status.name) != reading.value:
+                self._addresses[status.name] = reading.value
+                self._monitor.say(f'{status.name:<10}  {reading.value}')

@@ -19,7 +19,7 @@ from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.top_table import table
 
 _PERIOD = 1.0  # s, of the reports and so of the table
-_DEPTH = 100  # messages; of so many nodes one may come at the same time
+REPORT_DEPTH = 100  # messages; of so many nodes one may come at the same time
 _CLEAR = '\x1b[H\x1b[J'  # to the upper left corner, erase from there on (ECMA-48)
 
 
@@ -31,7 +31,7 @@ class _Listener(Node):
         self.reports = Reports(namespace)
         self.has_heard = False
         self._known = (0, 0.0)  # so many nodes, since this time [s]
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, _DEPTH)
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._take, REPORT_DEPTH)
 
     def is_done(self, latest: float) -> bool:
         """Return whether every node has spoken or is silent, and for a period none was new.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, UInt8
 
-LARGEST_STRAIN = 0.5  # from which on a spring has the full colour
+LARGEST_STRAIN = 0.2  # from which on a spring has the full colour
 
 # Compressed, at rest, stretched; told apart by those who see no red or green, too.
 _COMPRESSED, _AT_REST, _STRETCHED = (

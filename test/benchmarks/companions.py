@@ -16,7 +16,7 @@ TRIPS = 2000
 GOAL = 1 / 1.1
 HERE = Path(__file__).parent
 # Programs that look at what a companion shows until they are ended; it does nothing before.
-WATCHERS = {'markers': 'watch_markers.py'}
+WATCHERS = {'markers': 'watch_markers.py', 'viewer': 'watch_viewer.py'}
 
 
 def measure(repetitions=REPETITIONS, trips=TRIPS):

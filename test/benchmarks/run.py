@@ -31,6 +31,7 @@ BENCHMARKS = (
     'graph_training',
     'closed_loop',
     'companions',
+    'pictures',
     'lockstep_run',
     'realtime_run',
     'start_up',

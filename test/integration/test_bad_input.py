@@ -45,6 +45,7 @@ def assert_one_clear_error(output, *words):
         ('simulator', 'rate:=fast', ('rate', 'expected a double', "'fast'")),
         ('simulator', 'time_mode:=soon', ('time_mode', 'lockstep, realtime', 'soon')),
         ('recorder', 'attach:=[sound]', ('attach', 'network, checkpoint')),
+        ('viewer', 'port:=70000', ('port', 'expected 0 to 65535', '70000')),
     ],
 )
 def test_bad_parameters(run_here, kind, parameter, words):

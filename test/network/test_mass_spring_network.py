@@ -285,3 +285,9 @@ def test_a_spring_without_rest_length_is_strained_by_its_length(paper_2):
     network = replace(paper_2, rest_length=np.zeros(len(paper_2.springs)))
     lengths = np.linalg.norm(np.diff(paper_2.rest_position[paper_2.springs], axis=1)[:, 0], axis=1)
     np.testing.assert_allclose(network.strains(network.rest_configuration), lengths, atol=1e-14)
+
+
+@pytest.mark.parametrize('name', ['damping_kind', 'background_stiffness'])
+def test_a_whole_number_beyond_all_floats_is_refused(content, load, name):
+    with pytest.raises(NetworkError, match=name):
+        load(content | {name: 10**400})

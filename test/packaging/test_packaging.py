@@ -32,6 +32,7 @@ EXECUTABLES = (
     'recorder_node',
     'player_node',
     'markers_node',
+    'viewer_node',
     'launcher',
 )
 NO_SOURCE = ('build', 'install', 'log', 'dist', 'runs', 'bags', 'docs')

@@ -1,0 +1,113 @@
+"""The page of a running loop in a browser: it shows what it is given, hands on what is wanted."""
+
+from queue import SimpleQueue
+
+import numpy as np
+import pytest
+from watch_viewer import connect
+
+from dpc_ros.control import Target
+from dpc_ros.view import Frame, LivePage, address, open_server
+
+LONGEST_WAIT = 60  # s for what people do in a browser to arrive
+SIZE = {'width': 1200, 'height': 600}  # pixels
+
+
+class Wishes:
+    """Actions that are kept, in the order in which they came."""
+
+    def __init__(self):
+        self._queue = SimpleQueue()
+
+    def __getattr__(self, name):
+        return lambda *values: self._queue.put((name, *values))
+
+    def next(self, name):
+        """Return the next wish of a kind; others that came before are passed over."""
+        while True:
+            kind, *values = self._queue.get(timeout=LONGEST_WAIT)
+            if kind == name:
+                return values
+
+
+@pytest.fixture
+def wishes():
+    return Wishes()
+
+
+@pytest.fixture
+def live(small_system, wishes):
+    system = small_system(2)
+    server = open_server('127.0.0.1', 0, 'test', system.mechanics.network)
+    page = LivePage(server, system, 2.0, 3.0, wishes)
+    page.system, page.address = system, address(server)
+    yield page
+    page.close()
+
+
+def frame(live, time, **known):
+    return Frame(time, live.system.mechanics.network.rest_configuration, **known)
+
+
+def test_what_is_wanted_in_the_browser_arrives(live, wishes, open_page, set_field):
+    live.show(frame(live, 0.5, force=np.array([3.0, 4.0]), nmse=0.25))
+    page = open_page(live.address, viewport=SIZE)
+    page.get_by_text('0.50 s').wait_for()
+    page.get_by_text('|u| 5.00 N').wait_for()
+
+    page.get_by_role('button', name='Pause').click()
+    assert wishes.next('pause') == [True]
+    live.show_paused(True)
+    page.get_by_role('button', name='Step').click()
+    assert wishes.next('step') == []
+    page.get_by_role('button', name='Go on').click()
+    assert wishes.next('pause') == [False]
+    page.get_by_role('button', name='Reset').click()
+    assert wishes.next('reset') == []
+    page.get_by_role('button', name='Record').click()
+    assert wishes.next('record') == [True]
+    live.show_recording(True)
+    page.get_by_role('button', name='End recording').click()
+    assert wishes.next('record') == [False]
+
+    page.get_by_role('tab', name='Law').click()
+    set_field(page, 'proportional gain', 3.5)
+    page.get_by_role('button', name='Apply').click()
+    assert wishes.next('tune') == [{'proportional_gain': 3.5}]
+    live.tell('expected 0 to 1000000, got -1', problem=True)
+    page.get_by_text('expected 0 to 1000000, got -1').wait_for()
+    assert page.errors == []
+
+
+def test_a_target_is_sent_as_it_was_previewed(live, wishes, open_page, set_field):
+    live.show(frame(live, 0.0))
+    page = open_page(live.address, viewport=SIZE)
+    page.get_by_role('tab', name='Target').click()
+    send = page.get_by_role('button', name='Send')
+    set_field(page, 'ξ₁', 0.5)
+    send.click()
+    (target,) = wishes.next('aim')
+    assert isinstance(target, Target)
+    assert target.latent[1] == 0.5
+
+    set_field(page, 'By name', 'rest')
+    page.get_by_role('button', name='Preview').click()
+    send.click()
+    (target,) = wishes.next('aim')
+    rest = live.system.mechanics.network.rest_configuration
+    np.testing.assert_array_equal(target.configuration, rest)
+
+    set_field(page, 'By name', 'nowhere')
+    page.get_by_role('button', name='Preview').click()
+    page.get_by_text('expected rest, or a state').wait_for()
+    assert page.errors == []
+
+
+def test_two_browsers_see_the_same_and_one_that_hangs_holds_nobody_up(live, open_page):
+    with connect(live.address.replace('http', 'ws')):  # of what it is sent it reads next to nothing
+        pages = [open_page(live.address, viewport=SIZE) for _ in range(2)]
+        for k in range(300):
+            live.show(frame(live, 0.01 * k))
+        for page in pages:
+            page.get_by_text('2.99 s').wait_for()
+            assert page.errors == []
