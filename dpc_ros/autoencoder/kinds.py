@@ -59,7 +59,9 @@ def check_kind(name: str) -> None:
     Raises:
         KindError: it is neither.
     """
-    if name in _BUILT_IN:  # to look for others reads a file of every package that is installed
+    # To look for others reads a file of every package that is installed. A name out of a file may
+    # be no text, and then no key.
+    if name in [*_BUILT_IN]:
         return
     known = [*_BUILT_IN, *_registered()]
     if name not in known:
