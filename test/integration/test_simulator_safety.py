@@ -358,6 +358,7 @@ def test_an_encoder_refuses_what_no_body_does(domain, observer, witness, plan):
     assert 'Traceback' not in output
 
 
+@pytest.mark.long
 @pytest.mark.faults(
     fault='another simulator, whose time begins at zero',
     promise='encoder and controller serve it without a restart',

@@ -49,6 +49,7 @@ def test_a_target_that_changes_a_thousand_times(loop, kept_promise, passed):
     )
 
 
+@pytest.mark.long
 def test_bytes_that_are_no_message(loop, repetitions, kept_promise):
     running = loop('realtime')
     node = running.observer.node

@@ -85,6 +85,7 @@ def test_lockstep_waits_for_a_killed_node(
     )
 
 
+@LONG
 def test_lockstep_begins_anew_with_a_killed_simulator(
     loop, assert_repeats_states, repetitions, kept_promise
 ):
