@@ -74,6 +74,9 @@ class OnlineEncoder:
             latent, latent_velocity = self.autoencoder.encoder_jacobian_vector_product(
                 configuration, velocity, self._last_latent
             )
+        expected = (self.autoencoder.latent_size,)
+        if not np.shape(latent) == np.shape(latent_velocity) == expected:
+            raise ValueError(f'expected a latent state of the shape {expected}')
         _check_finite(latent, latent_velocity)
         if self.observer is not None:
             estimate = self.observer.estimate(latent, latent_velocity, stamp)

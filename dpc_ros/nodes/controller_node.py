@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 
+from dpc_ros.bag.force_frame import force_frame
 from dpc_ros.control import (
     Answers,
     BackgroundSolver,
@@ -28,14 +28,14 @@ from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
-    force_message,
     latent_names,
     parameters_message,
     read_stamp,
-    read_state,
+    to_stamp,
 )
 from dpc_ros.nodes.target_messages import read_target, target_message
 from dpc_ros.nodes.topics import MOST_STATES
+from dpc_ros.nodes.wire import StateReader, force_pattern
 
 _NO_LATENT_STATE = 'no new latent_state: zero force is commanded until there is one'
 
@@ -59,14 +59,16 @@ class ControllerNode(LoopNode):
         )
         self._controller = OnlineController(settings, self._solver, self.report)
         self._network = self._controller.network
-        self._identifier = self._controller.checkpoint.identifier
+        identifier = self._controller.checkpoint.identifier
         self.health.readings |= {
             'network': self._network.identifier,
-            'checkpoint': self._identifier,
+            'checkpoint': identifier,
         }
-        self._names = latent_names(self._controller.law.system.latent_size)
-        self._mass = settings['actuated_mass']
-        self._own_identifier = secrets.token_hex(4)  # what tells this controller from others
+        self._latent_size = self._controller.law.system.latent_size
+        self._latent_states = StateReader(identifier, latent_names(self._latent_size))
+        own = settings['actuated_mass'], secrets.token_hex(4)  # tells this controller from others
+        self._forces = force_pattern(force_frame(*own))
+        self._releases = force_pattern(force_frame(*own, is_release=True))
         self._answers = Answers()
         self._first_target: Target | None = None
         if settings['target']:
@@ -83,7 +85,7 @@ class ControllerNode(LoopNode):
         if settings['replayed_parameters']:
             self.create_input('parameters', self._replay_parameters)
         self.create_input('target', self._take_target)
-        self.create_input('latent_state', self._control, MOST_STATES)
+        self.create_input('latent_state', self._control, MOST_STATES, raw=True)
 
     def activate(self) -> None:
         self._controller.restart()
@@ -136,27 +138,27 @@ class ControllerNode(LoopNode):
         try:
             stamp = read_stamp(message.header.stamp)
             target = read_target(
-                message, self._network.identifier, self._network.coordinate_names, len(self._names)
+                message, self._network.identifier, self._network.coordinate_names, self._latent_size
             )
             self._controller.add_target(stamp, target)
         except (MessageError, TargetError) as error:
             self.reject('target', MessageError(str(error)))
 
-    def _control(self, message: JointState, info: dict[str, int]) -> None:
+    def _control(self, data: bytes, info: dict[str, int]) -> None:
         if not (self.receive('latent_state', info) and self.matched(self._control_force)):
             return
         begin = time.perf_counter()
         try:
-            stamp = read_stamp(message.header.stamp)
-            latent, latent_velocity = read_state(message, self._identifier, self._names)
+            state = self._latent_states.read(data)
         except MessageError as error:
             self.reject('latent_state', error)
             return
-        answer = self._answers.repeated(stamp, message)
+        stamp, latent, latent_velocity = state
+        answer = self._answers.repeated(stamp, state.content)
         if answer is None:
             if self._answers.starts_epoch(stamp):
                 self._controller.begin_epoch()
-            self._bring_in_force(stamp, message.header.stamp)
+            self._bring_in_force(stamp)
             if not self._controller.has_target:
                 self.say('waiting for a target on the topic')
                 return
@@ -168,8 +170,8 @@ class ControllerNode(LoopNode):
                 force = np.zeros(2)
             else:
                 self.health.saturated += self._controller.law.saturated
-            answer = force_message(message.header.stamp, self._mass, force, self._own_identifier)
-            self._answers.remember(stamp, message, answer)
+            answer = self._forces.write(stamp, force)
+            self._answers.remember(stamp, state.content, answer)
             if self._watchdog is not None:
                 self._watchdog.reset()
                 self.health.watchdog = WATCHDOG_OK
@@ -184,23 +186,14 @@ class ControllerNode(LoopNode):
         self._watchdog.cancel()
         if not self.active:
             return
-        _, answer = self._answers.newest
-        self.publish(
-            self._control_force,
-            force_message(
-                answer.header.stamp,
-                self._mass,
-                np.zeros(2),
-                self._own_identifier,
-                is_release=True,
-            ),
-        )
+        newest, _ = self._answers.newest
+        self.publish(self._control_force, self._releases.write(newest, np.zeros(2)))
         self.health.watchdog = _NO_LATENT_STATE
         self.say(_NO_LATENT_STATE, problem=True)
 
-    def _bring_in_force(self, stamp_ns: int, stamp: Time) -> None:
+    def _bring_in_force(self, stamp: int) -> None:
         """Let new targets and parameters count from a state on, and tell logs so."""
-        for change in self._controller.bring_in_force(stamp_ns):
+        for change in self._controller.bring_in_force(stamp):
             if change.target is None and change.problem:
                 self.reject('parameters', MessageError(change.problem))
                 self._show_wanted_parameters()
@@ -208,13 +201,13 @@ class ControllerNode(LoopNode):
                 self.reject('target', MessageError(change.problem))
             elif change.target is not None:
                 self._target_in_force.publish(
-                    target_message(change.target, self._network.identifier, stamp_ns)
+                    target_message(change.target, self._network.identifier, stamp)
                 )
         if self._controller.parameters is not self._announced:
             self._parameters_in_force.publish(
                 parameters_message(
                     self.get_fully_qualified_name(),
-                    stamp,
+                    to_stamp(stamp),
                     self._announced,
                     self._controller.parameters,
                 )

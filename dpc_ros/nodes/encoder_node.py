@@ -8,27 +8,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
 from rclpy.timer import Timer
-from sensor_msgs.msg import JointState
 
 from dpc_ros.control import Answers, Controllers, DelayMeter, OnlineEncoder
 from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
-from dpc_ros.nodes.messages import (
-    MessageError,
-    check_within,
-    from_stamp,
-    hear_controller,
-    latent_names,
-    read_force,
-    read_stamp,
-    read_state,
-    state_message,
-)
+from dpc_ros.nodes.messages import MessageError, check_within, hear_controller, latent_names
 from dpc_ros.nodes.topics import MOST_STATES
 from dpc_ros.nodes.turns import Turns
+from dpc_ros.nodes.wire import ForceReader, StateMessage, StateReader, state_pattern
 
 if TYPE_CHECKING:
     from dpc_ros.control import LatentObserver
@@ -56,14 +45,14 @@ class EncoderNode(LoopNode):
         self._mass = settings['actuated_mass']
         self._rest = network.rest_configuration
         self._controllers = Controllers(settings['controller_timeout'])
-        self._network_identifier = network.identifier
-        self._coordinate_names = network.coordinate_names
-        self._identifier = checkpoint.identifier
+        self._configurations = StateReader(network.identifier, network.coordinate_names)
+        self._forces = ForceReader()
         self.health.readings |= {
             'network': network.identifier,
             'checkpoint': checkpoint.identifier,
         }
-        self._names = latent_names(self._encoder.autoencoder.latent_size)
+        names = latent_names(self._encoder.autoencoder.latent_size)
+        self._latent_states = state_pattern(checkpoint.identifier, len(names), names)
         self._answers = Answers()
         self._begin_anew()
         self._encoder.warm_up()
@@ -71,9 +60,9 @@ class EncoderNode(LoopNode):
         # An observer that has no time for a state bridges it, rather than be late for all others.
         observes = self._encoder.observer is not None
         depth = 1 if observes else MOST_STATES
-        self.create_input('configuration', self._take_configuration, depth)
+        self.create_input('configuration', self._take_configuration, depth, raw=True)
         if observes:
-            self.create_input('control_force', self._take_force)
+            self.create_input('control_force', self._take_force, raw=True)
 
     def activate(self) -> None:
         self._begin_anew()
@@ -96,16 +85,16 @@ class EncoderNode(LoopNode):
         self._encoder.restart()
         self._turns = Turns()
 
-    def _take_configuration(self, message: JointState, info: dict[str, int]) -> None:
+    def _take_configuration(self, data: bytes, info: dict[str, int]) -> None:
         if not (self.receive('configuration', info) and self.matched(self._latent_state)):
             return
         try:
-            stamp = read_stamp(message.header.stamp)
-            state = read_state(message, self._network_identifier, self._coordinate_names)
-            self._check_plausible(*state)
+            state = self._configurations.read(data)
+            self._check_plausible(state.position, state.velocity)
         except MessageError as error:
             self.reject('configuration', error)
             return
+        stamp = state.stamp
         self._came_at = self.steady_time()
         if self._delay is not None:
             if self._answers.starts_epoch(stamp):
@@ -116,7 +105,7 @@ class EncoderNode(LoopNode):
                 info['source_timestamp'],
                 info['received_timestamp'],
             )
-        repeated = self._answers.repeated(stamp, message)
+        repeated = self._answers.repeated(stamp, state.content)
         if repeated is None and self._answers.begins_anew(stamp):
             self._begin_anew()
         if repeated is None and self._turns.waits(stamp):
@@ -125,22 +114,21 @@ class EncoderNode(LoopNode):
             self.health.repeated += 1
             self.publish(self._latent_state, repeated)
         elif self._encoder.observer is None:
-            self._answer(message, state)
+            self._answer(state)
         else:
-            for each in self._turns.come(stamp, (message, state)):
-                self._answer(*each)
+            for each in self._turns.come(stamp, state):
+                self._answer(each)
 
-    def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
+    def _take_force(self, data: bytes, info: dict[str, int]) -> None:
         if not self.receive('control_force', info):
             return
         newest, _ = self._answers.newest
         if newest < 0:
             return  # the answer to an encoder that was here before
         try:
-            frame, force = read_force(message)
+            stamp, frame, force = self._forces.read(data)
             if frame.mass != self._mass:
                 raise MessageError(f'expected mass {self._mass}, got {frame.mass}')
-            stamp = read_stamp(message.header.stamp)
             if self._answers.is_of_former_epoch(stamp):
                 self.health.repeated += 1
                 return
@@ -158,7 +146,7 @@ class EncoderNode(LoopNode):
             self._measure(self._delay, observer, stamp, info['received_timestamp'])
         observer.acted(stamp, force)
         for each in self._turns.answered(stamp):
-            self._answer(*each)
+            self._answer(each)
 
     def _check_plausible(self, configuration: np.ndarray, velocity: np.ndarray) -> None:
         displacement = configuration - self._rest
@@ -195,18 +183,16 @@ class EncoderNode(LoopNode):
             self.health.readings['foreseen delay [ms]'] = f'{1e3 * observer.delay:.3f}'
         self._warn(_CLOCKS_DIFFER, not delay.is_believable)
 
-    def _answer(self, message: JointState, state: tuple[np.ndarray, np.ndarray]) -> None:
+    def _answer(self, state: StateMessage) -> None:
         begin = time.perf_counter()
-        stamp = from_stamp(message.header.stamp)
+        stamp, configuration, velocity = state
         try:
-            latent, latent_velocity = self._encoder.encode(*state, stamp)
+            latent, latent_velocity = self._encoder.encode(configuration, velocity, stamp)
         except Exception as error:  # whatever an encoder of another package raises, too
             self.reject('configuration', MessageError(f'encoder: {error}'))
             return
-        answer = state_message(
-            message.header.stamp, self._identifier, latent, latent_velocity, self._names
-        )
-        self._answers.remember(stamp, message, answer)
+        answer = self._latent_states.write(stamp, latent, latent_velocity)
+        self._answers.remember(stamp, state.content, answer)
         self.publish(self._latent_state, answer)
         self.health.processed(time.perf_counter() - begin)
 

@@ -205,7 +205,11 @@ class LoopNode(LifecycleNode):
         return publisher
 
     def create_input(
-        self, topic: str, callback: Callable[..., None], depth: int | None = None
+        self,
+        topic: str,
+        callback: Callable[..., None],
+        depth: int | None = None,
+        raw: bool = False,
     ) -> None:
         """Subscribe to a topic of the loop.
 
@@ -213,12 +217,15 @@ class LoopNode(LifecycleNode):
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
             depth: how many of the newest wait while the node is busy, if not those of the topic.
+            raw: whether it takes the bytes of a message instead.
         """
         entry = TOPICS[topic]
         qos = copy(entry.qos)
         if depth is not None:
             qos.depth = depth
-        self._inputs.append(self.create_subscription(entry.message_type, topic, callback, qos))
+        self._inputs.append(
+            self.create_subscription(entry.message_type, topic, callback, qos, raw=raw)
+        )
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.

@@ -27,10 +27,10 @@ from dpc_ros.nodes.messages import (
     hear_controller,
     read_force,
     read_stamp,
-    state_message,
     to_stamp,
 )
 from dpc_ros.nodes.topics import Topic
+from dpc_ros.nodes.wire import ForceReader, state_pattern
 
 _RESET_LEAP = 2 * LONGEST_GAP  # s of the stamps, by which encoder and controller see a reset
 _STALE = 'control_force is stale'
@@ -66,8 +66,13 @@ class SimulatorNode(LoopNode):
         self._body = Body(integrator, settings['actuated_mass'])
         self._body.advance(np.zeros(2))  # compiles the kernels
         self._body.reset()
-        self._identifier = self.health.readings['network'] = network.identifier
-        self._names = network.coordinate_names if settings['publish_names'] else []
+        self.health.readings['network'] = network.identifier
+        self._states = state_pattern(
+            network.identifier,
+            network.configuration_size,
+            network.coordinate_names if settings['publish_names'] else [],
+        )
+        self._forces = ForceReader()
         self._last_step = math.ceil(settings['duration'] * NANOSECONDS / self._step_ns)
         self._realtime = settings['time_mode'] == 'realtime'
         self._step = 0
@@ -89,7 +94,7 @@ class SimulatorNode(LoopNode):
             if settings['publish_clock']
             else None
         )
-        self.create_input('control_force', self._take_force)
+        self.create_input('control_force', self._take_force, raw=True)
         self.create_input('external_force', self._take_push)
         self._commands = [
             self.create_service(Trigger, '~/reset', self._reset),
@@ -134,14 +139,13 @@ class SimulatorNode(LoopNode):
     def _at_end(self) -> bool:
         return self._step >= self._last_step > 0
 
-    def _take_force(self, message: WrenchStamped, info: dict[str, int]) -> None:
+    def _take_force(self, data: bytes, info: dict[str, int]) -> None:
         if not self.receive('control_force', info):
             return
         try:
-            frame, force = read_force(message)
+            stamp, frame, force = self._forces.read(data)
             if frame.mass != self._body.actuated_mass:
                 raise MessageError(f'expected mass {self._body.actuated_mass}, got {frame.mass}')
-            stamp = read_stamp(message.header.stamp)
             if stamp > self._awaited:
                 raise MessageError('its stamp is that of no state so far')
             hear_controller(self._controllers, frame, self.steady_time())
@@ -277,15 +281,12 @@ class SimulatorNode(LoopNode):
     def _publish_state(self) -> None:
         if not self.matched(self._configuration):
             return
-        stamp = to_stamp(self._awaited)
         if self._clock_publisher is not None:
-            self._clock_publisher.publish(ClockMessage(clock=stamp))
+            self._clock_publisher.publish(ClockMessage(clock=to_stamp(self._awaited)))
         self.health.round_trips.sent(self._awaited)
         self.publish(
             self._configuration,
-            state_message(
-                stamp, self._identifier, self._body.configuration, self._body.velocity, self._names
-            ),
+            self._states.write(self._awaited, self._body.configuration, self._body.velocity),
         )
         self._published_at = self.steady_time()
 
