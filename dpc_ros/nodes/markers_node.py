@@ -14,7 +14,7 @@ from dpc_ros.nodes.loop_node import LoopNode, run_node, set_period
 from dpc_ros.nodes.marker_scene import BODY, FORCE, RECONSTRUCTION, TARGET, MarkerScene
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.newest import NewestMessages
-from dpc_ros.nodes.onlooker import Onlooker, Sight
+from dpc_ros.nodes.onlooker import Sight, load_onlooker
 from dpc_ros.nodes.topics import Topic
 
 MARKERS = Topic(MarkerArray, QoSProfile(depth=1))  # reliable and volatile, as viewers ask for
@@ -39,7 +39,7 @@ class MarkersNode(LoopNode):
         settings = self.settings
         if not settings['frame']:
             raise ValueError("frame: expected the name of a frame, as 'world', got none")
-        self._onlooker = Onlooker(settings)
+        self._onlooker = load_onlooker(settings)
         self.health.readings |= self._onlooker.models
         self._scene = MarkerScene(
             self._onlooker.network, settings['frame'], settings['largest_strain']

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from dpc_ros.autoencoder import load_checkpoint
+from dpc_ros.autoencoder import Autoencoder, Checkpoint, load_checkpoint
 from dpc_ros.control import Controllers
-from dpc_ros.network import load_network
+from dpc_ros.network import MassSpringNetwork, load_network
 from dpc_ros.nodes.messages import (
     MessageError,
     check_within,
@@ -64,34 +64,35 @@ class Onlooker:
     """Reads messages of the loop, refuses those that do not fit, and knows what is in force.
 
     Args:
-        parameters: `network`; `checkpoint`, empty for none: then nothing is decoded;
-            `largest_displacement` [m] of a coordinate from rest; `answer_timeout` [s], for which a
-            force, its controller and, where the body moves on, a latent state count.
+        parameters: `largest_displacement` [m] of a coordinate from rest; `answer_timeout` [s], for
+            which a force, its controller and, where the body moves on, a latent state count.
+        network: the body.
+        checkpoint: of latent states, trained on it; without one nothing is decoded.
+        autoencoder: that of the checkpoint.
 
     Attributes:
         network: the body.
         models: identifiers of network and checkpoint, by these words.
         topics: those that it reads.
         body, reconstruction, target, push: what is known and counts, None where there is nothing.
-
-    Raises:
-        FileNotFoundError: there is no such network or checkpoint.
-        ValueError: one that can't be used, or a checkpoint of another network.
     """
 
-    def __init__(self, parameters: Mapping[str, Any]) -> None:
-        self.network = load_network(parameters['network'])
-        self.models = {'network': self.network.identifier}
+    def __init__(
+        self,
+        parameters: Mapping[str, Any],
+        network: MassSpringNetwork,
+        checkpoint: Checkpoint | None = None,
+        autoencoder: Autoencoder | None = None,
+    ) -> None:
+        self.network = network
+        self.models = {'network': network.identifier}
         self.topics = ['configuration', 'target_in_force', 'control_force']
-        self._autoencoder = None
+        self._autoencoder = autoencoder
         self._latent_names: list[str] = []
-        if parameters['checkpoint']:
-            checkpoint = load_checkpoint(parameters['checkpoint'])
-            checkpoint.check_network(self.network)
-            self._autoencoder = checkpoint.autoencoder()
+        if checkpoint is not None and autoencoder is not None:
             self.models['checkpoint'] = checkpoint.identifier
-            self._latent_names = latent_names(self._autoencoder.latent_size)
-            self._autoencoder.decode(np.zeros(len(self._latent_names)))  # compiles, where it does
+            self._latent_names = latent_names(autoencoder.latent_size)
+            autoencoder.decode(np.zeros(autoencoder.latent_size))  # compiles, where it does
             self.topics.append('latent_state')
         self._largest_displacement = parameters['largest_displacement']
         self._timeout = parameters['answer_timeout']
@@ -181,3 +182,18 @@ class Onlooker:
         displacement = configuration - self.network.rest_configuration
         check_within(displacement, self._largest_displacement, 'displacement', 'm')
         return configuration
+
+
+def load_onlooker(parameters: Mapping[str, Any]) -> Onlooker:
+    """Return one who knows the network and, unless its name is empty, the checkpoint of parameters.
+
+    Raises:
+        FileNotFoundError: there is no such network or checkpoint.
+        ValueError: one that can't be used, or a checkpoint of another network.
+    """
+    network = load_network(parameters['network'])
+    if not parameters['checkpoint']:
+        return Onlooker(parameters, network)
+    checkpoint = load_checkpoint(parameters['checkpoint'])
+    checkpoint.check_network(network)
+    return Onlooker(parameters, network, checkpoint, checkpoint.autoencoder())

@@ -64,8 +64,8 @@ class ViewerNode(LoopNode):
 
     def configure(self) -> None:
         settings = self.settings
-        network, _, self._system = load_system(settings)
-        self._onlooker = Onlooker(settings)
+        network, checkpoint, self._system = load_system(settings)
+        self._onlooker = Onlooker(settings, network, checkpoint, self._system.autoencoder)
         self._newest = NewestMessages(self, self._onlooker.topics, self.health.arrived)
         self._reports = Reports(self.get_namespace())
         self._reported = self.create_subscription(

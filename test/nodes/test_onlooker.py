@@ -15,7 +15,7 @@ from dpc_ros.nodes.messages import (
     state_message,
     to_stamp,
 )
-from dpc_ros.nodes.onlooker import Onlooker
+from dpc_ros.nodes.onlooker import load_onlooker
 from dpc_ros.parameters import node_parameters
 
 CHECKPOINT = load_checkpoint('paper_2_extended_m5')
@@ -30,7 +30,7 @@ def autoencoder():
 
 
 def make_onlooker(**parameters):
-    return Onlooker(node_parameters('markers', parameters))
+    return load_onlooker(node_parameters('markers', parameters))
 
 
 @pytest.fixture(scope='module')
