@@ -35,7 +35,6 @@ class Commands:
         node: through which to ask.
         frame_id: of targets that are configurations: the network's identifier.
         tell: is called with what has come of a wish, and whether that is a problem.
-        show_paused: is called when the simulator has been paused, or goes on.
         record: is called with whether a log is wanted.
 
     Attributes:
@@ -48,11 +47,10 @@ class Commands:
         node: Node,
         frame_id: str,
         tell: Tell,
-        show_paused: Callable[[bool], None],
         record: Callable[[bool], None],
     ) -> None:
-        self._node, self._frame_id, self._tell = node, frame_id, tell
-        self._show_paused, self._record = show_paused, record
+        self._node, self._frame_id = node, frame_id
+        self._tell, self._record = tell, record
         self.accepts = False
         self.stamp = 0
         self._wishes: SimpleQueue[Callable[[], None]] = SimpleQueue()
@@ -103,8 +101,7 @@ class Commands:
 
     def pause(self, paused: bool) -> None:
         request = SetBool.Request(data=paused)
-        done = partial(self._paused, paused)
-        self._wish(lambda: self._call('pause', request, done))
+        self._wish(lambda: self._call('pause', request, self._answered))
 
     def step(self) -> None:
         self._wish(lambda: self._call('step', Trigger.Request(), self._answered))
@@ -163,14 +160,8 @@ class Commands:
         elif future.result() is not None:
             done(future.result())
 
-    def _answered(self, response: Trigger.Response) -> None:
+    def _answered(self, response: Trigger.Response | SetBool.Response) -> None:
         if not response.success:
-            self._tell(response.message, True)
-
-    def _paused(self, paused: bool, response: SetBool.Response) -> None:
-        if response.success:
-            self._show_paused(paused)
-        else:
             self._tell(response.message, True)
 
     def _tuned(

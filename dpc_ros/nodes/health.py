@@ -17,6 +17,7 @@ from dpc_ros.nodes.window import RoundTrips, Window, jitter, percentiles
 
 DIAGNOSTICS = '/diagnostics'  # topic
 ADDRESS_READING = 'address'  # of the page that a node serves
+PAUSED_READING = 'paused'  # whether a node was told to hold what it moves
 PROCESS_READING = 'process id'
 NO_WATCHDOG = 'none'
 WATCHDOG_OK = 'ok'

@@ -48,21 +48,22 @@ class Reports:
         self._seen: dict[str, Report] = {}  # nodes that publish on the topic
         self._strangers: set[str] = set()  # those that report in another way
 
-    def take(self, status: DiagnosticStatus, now: float) -> bool:
-        """Keep a status that came at a time [s]; return whether it is a report that counts."""
+    def take(self, status: DiagnosticStatus, now: float) -> Report | None:
+        """Keep a status that came at a time [s]; return the report that it is, if it counts."""
         values = {pair.key: pair.value for pair in status.values}
         if not values.keys() >= _KEYS:
             if len(self._strangers) < _MOST_NODES:
                 self._strangers.add(status.name.partition(':')[0])  # as diagnostic_updater has it
-            return False
+            return None
         node = status.hardware_id
         if not node.startswith(self._prefix):
-            return False
+            return None
         problem = '' if status.level == DiagnosticStatus.OK else status.message
-        self._reports[node, values[PROCESS_READING]] = Report(node, now, values, problem)
+        report = Report(node, now, values, problem)
+        self._reports[node, values[PROCESS_READING]] = report
         if len(self._reports) > _MOST_NODES:
             del self._reports[min(self._reports, key=lambda key: self._reports[key].time)]
-        return True
+        return report
 
     def see(self, publishers: Iterable[str], now: float) -> None:
         """Note which nodes publish on the topic, heard or not.

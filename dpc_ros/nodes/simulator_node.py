@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import LONGEST_GAP, Controllers, Patience, approach
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
-from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
+from dpc_ros.nodes.health import NO_WATCHDOG, PAUSED_READING, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
 from dpc_ros.nodes.messages import (
     MessageError,
@@ -79,7 +79,7 @@ class SimulatorNode(LoopNode):
         self._leapt = 0  # steps left out of the stamps
         self._answered = False  # the present state has been, by a force with its stamp
         self._running = False  # a first force has come
-        self._paused = False
+        self._set_paused(False)
         self._answer_stamp = -1  # of the newest force that was taken, or of the reset [ns]
         self._controllers = Controllers(settings['controller_timeout'])
         self._patience = Patience(settings['resend_interval'])
@@ -352,12 +352,17 @@ class SimulatorNode(LoopNode):
         return response
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._paused = request.data
+        self._set_paused(request.data)
+        self.report()  # now, to all who show it
         self._patience.begin(self.steady_time())  # of the force, time goes on
         if not self._paused and self._answered and not self._realtime and self.active:
             self._advance()
         response.success = True
         return response
+
+    def _set_paused(self, paused: bool) -> None:
+        self._paused = paused
+        self.health.readings[PAUSED_READING] = str(paused).lower()
 
     def _single_step(
         self, request: Trigger.Request, response: Trigger.Response

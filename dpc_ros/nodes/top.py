@@ -67,7 +67,7 @@ class _Listener(Node):
     def _take(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            self.has_heard |= self.reports.take(status, now)
+            self.has_heard |= self.reports.take(status, now) is not None
 
 
 def show(namespace: str, domain: int | None, once: bool, timeout: float) -> int:

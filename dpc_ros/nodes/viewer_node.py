@@ -24,14 +24,14 @@ from dpc_ros.control.online import load_system
 from dpc_ros.network import Mechanics
 from dpc_ros.nodes.commands import Commands
 from dpc_ros.nodes.executor import RareCallbackGroup
-from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS
+from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS, PAUSED_READING
 from dpc_ros.nodes.loop_node import LoopNode, run_node, set_period
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.newest import NewestMessages
 from dpc_ros.nodes.node_list import node_list
 from dpc_ros.nodes.onlooker import Onlooker, Sight
 from dpc_ros.nodes.recording import Recording
-from dpc_ros.nodes.reports import Reports
+from dpc_ros.nodes.reports import Report, Reports
 from dpc_ros.nodes.top import REPORT_DEPTH
 from dpc_ros.parameters import declarations
 from dpc_ros.view import Frame, LivePage, address, open_server
@@ -61,6 +61,7 @@ class ViewerNode(LoopNode):
         self._newest: NewestMessages | None = None
         self._recording: Recording | None = None
         self._reported: Subscription | None = None
+        self._simulator = self.resolve_service_name('simulator')
 
     def configure(self) -> None:
         settings = self.settings
@@ -76,9 +77,7 @@ class ViewerNode(LoopNode):
             callback_group=RareCallbackGroup(),
         )
         self.create_input('parameters_in_force', self._see_parameters)
-        self._commands = Commands(
-            self, network.identifier, self._tell, self._show_paused, self._record
-        )
+        self._commands = Commands(self, network.identifier, self._tell, self._record)
         self._warm_up()
         self._server = open_server(settings['host'], settings['port'], self.get_name(), network)
         self._page = LivePage(
@@ -234,7 +233,14 @@ class ViewerNode(LoopNode):
     def _hear(self, message: DiagnosticArray) -> None:
         now = self.steady_time()
         for status in message.status:
-            self._reports.take(status, now)
+            report = self._reports.take(status, now)
+            if report is not None and self._page is not None:
+                self._see_report(self._page, report)
+
+    def _see_report(self, page: LivePage, report: Report) -> None:
+        """Show whether the body is held."""
+        if report.node == self._simulator and PAUSED_READING in report.values:
+            page.show_paused(report.values[PAUSED_READING] == 'true')
 
     def _see_parameters(self, message: ParameterEvent) -> None:
         if self._page is None or message.node != self.resolve_service_name('controller'):
@@ -255,10 +261,6 @@ class ViewerNode(LoopNode):
     def _tell(self, text: str, problem: bool) -> None:
         if self._page is not None:
             self._page.tell(text, problem)
-
-    def _show_paused(self, paused: bool) -> None:
-        assert self._page is not None
-        self._page.show_paused(paused)
 
     def _record(self, recording: bool) -> None:
         """Begin a log, or ask the one that is being written to end."""
