@@ -19,6 +19,7 @@ DIAGNOSTICS = '/diagnostics'  # topic
 ADDRESS_READING = 'address'  # of the page that a node serves
 PAUSED_READING = 'paused'  # whether a node was told to hold what it moves
 PROCESS_READING = 'process id'
+REJECTED_READING = 'rejected: '  # begins each reason
 NO_WATCHDOG = 'none'
 WATCHDOG_OK = 'ok'
 _MOST_REASONS = 20
@@ -178,10 +179,10 @@ class Health:
             'rejected': self.rejected.total(),
             **self.readings,
             **{f'lost: {topic}': count for topic, count in self.lost.items()},
-            **{f'rejected: {reason}': count for reason, count in self.rejected.items()},
+            **{f'{REJECTED_READING}{reason}': count for reason, count in self.rejected.items()},
         }
         if self.rejected.others:
-            values['rejected: other reasons'] = self.rejected.others
+            values[f'{REJECTED_READING}other reasons'] = self.rejected.others
         problem = self._problem()
         level = DiagnosticStatus.WARN if problem else DiagnosticStatus.OK
         return DiagnosticStatus(

@@ -31,6 +31,7 @@ from dpc_ros.nodes.newest import NewestMessages
 from dpc_ros.nodes.node_list import node_list
 from dpc_ros.nodes.onlooker import Onlooker, Sight
 from dpc_ros.nodes.recording import Recording
+from dpc_ros.nodes.refusals import Refusals
 from dpc_ros.nodes.reports import Report, Reports
 from dpc_ros.nodes.top import REPORT_DEPTH
 from dpc_ros.parameters import declarations
@@ -62,6 +63,7 @@ class ViewerNode(LoopNode):
         self._recording: Recording | None = None
         self._reported: Subscription | None = None
         self._simulator = self.resolve_service_name('simulator')
+        self._controller = self.resolve_service_name('controller')
 
     def configure(self) -> None:
         settings = self.settings
@@ -69,6 +71,7 @@ class ViewerNode(LoopNode):
         self._onlooker = Onlooker(settings, network, checkpoint, self._system.autoencoder)
         self._newest = NewestMessages(self, self._onlooker.topics, self.health.arrived)
         self._reports = Reports(self.get_namespace())
+        self._refusals = Refusals('target', 'parameters')
         self._reported = self.create_subscription(
             DiagnosticArray,
             DIAGNOSTICS,
@@ -238,12 +241,16 @@ class ViewerNode(LoopNode):
                 self._see_report(self._page, report)
 
     def _see_report(self, page: LivePage, report: Report) -> None:
-        """Show whether the body is held."""
+        """Show whether the body is held, and what the controller begins to refuse."""
         if report.node == self._simulator and PAUSED_READING in report.values:
             page.show_paused(report.values[PAUSED_READING] == 'true')
+        elif report.node == self._controller:
+            refusal = self._refusals.newest(report)
+            if refusal:
+                page.tell(f'controller: {refusal}', problem=True)
 
     def _see_parameters(self, message: ParameterEvent) -> None:
-        if self._page is None or message.node != self.resolve_service_name('controller'):
+        if self._page is None or message.node != self._controller:
             return
         declared = declarations('controller')
         try:
