@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 _LAW = 'law'
 _NUMBERS = ('double', 'integer')
+_DECIMALS = 20  # that a field shows, and takes; else they are those of its default
 
 
 class LawPanel:
@@ -41,6 +42,8 @@ class LawPanel:
                 self._fields[name] = gui.add_number(
                     label, each.default, min=low, max=high, step=step, hint=each.description
                 )
+            if each.type == 'double':
+                self._fields[name].precision = _DECIMALS
         apply = gui.add_button('Apply')
         apply.on_click(lambda _: actions.tune(self._changed()))
         self.show({name: declared[name].default for name in self._fields})
