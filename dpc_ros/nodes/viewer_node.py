@@ -250,10 +250,12 @@ class ViewerNode(LoopNode):
                 page.tell(f'controller: {refusal}', problem=True)
 
     def _see_parameters(self, message: ParameterEvent) -> None:
-        if self._page is None or message.node != self._controller:
+        if self._page is None:
             return
         declared = declarations('controller')
         try:
+            if message.node != self._controller:
+                raise ValueError(f'expected the node {self._controller}, got {message.node}')
             given = [
                 Parameter.from_parameter_msg(each)
                 for each in (*message.new_parameters, *message.changed_parameters)
