@@ -109,6 +109,8 @@ CHROMIUM_OPTIONS = [
     '--disable-sync',
     '--no-first-run',
 ]
+CAMERA_DISTANCE = 1.9  # of a viewer from the body, in extents of it
+CAMERA_ANGLE = np.deg2rad(75.0)  # of what it sees, from top to bottom
 LONGEST_LOOK = 120.0  # s after which a test gives up on a page; it is drawn without a GPU
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
@@ -618,3 +620,23 @@ def set_field():
         field.press('Enter')
 
     return write
+
+
+@pytest.fixture
+def drag():
+    """Return a call that drags from one place of a body [m] to another, and does not let go."""
+
+    def move(page, network, begin, end):
+        canvas = page.locator('canvas').first.bounding_box()
+        rest = network.rest_position
+        low, high = rest.min(axis=0), rest.max(axis=0)
+        seen = 2 * CAMERA_DISTANCE * np.tan(0.5 * CAMERA_ANGLE) * (high - low).max()
+        middle = np.array([canvas['x'], canvas['y']], dtype=float)
+        middle += 0.5 * np.array([canvas['width'], canvas['height']])
+        pixels = np.array([1.0, -1.0]) * canvas['height'] / seen  # of a metre
+        (x, y), to = (middle + pixels * (each - 0.5 * (low + high)) for each in (begin, end))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(*to, steps=2)
+
+    return move

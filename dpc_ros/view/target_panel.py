@@ -107,7 +107,7 @@ class TargetPanel:
         if is_end:
             self._dragging = None
             if event.client_id not in self._server.get_clients():
-                self._withdraw()  # it was not let go, its browser has gone
+                self._job.ask(self._withdraw, must=True)  # not let go, its browser has gone
                 return
         self._job.ask(lambda: self._pull(position, is_end), must=is_end)
 
@@ -115,7 +115,7 @@ class TargetPanel:
         """Drop the preview of a browser that goes in the middle of a drag."""
         if client.client_id == self._dragging:
             self._dragging = None
-            self._withdraw()
+            self._job.ask(self._withdraw, must=True)  # after what is being solved for it
 
     def _pull(self, position: np.ndarray, is_end: bool) -> None:
         try:

@@ -1,19 +1,27 @@
 """The viewer over DDS, in a browser: the body is seen, steered, pushed, paused, recorded."""
 
+import re
+
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.bag import read_run
+from dpc_ros.control import load_target
 from dpc_ros.network import load_network
+from dpc_ros.nodes.health import DIAGNOSTICS
 from dpc_ros.nodes.messages import from_stamp, is_latent
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.resources import config_path
 
 NETWORK = load_network('paper_2')
 AUTOENCODER = load_checkpoint('paper_2_extended_m5').autoencoder()
+TARGET = load_target('simulation:4@100', NETWORK)  # of config/live.yaml
+MASS, HELD_MASS = 162, 90  # the actuated one, and one in the middle
 SIZE = {'width': 1200, 'height': 600}  # pixels
 STEP = 5_000_000  # ns
 
@@ -24,12 +32,28 @@ class Topics:
     def __init__(self, observer):
         self.observer = observer
         self.messages = {'configuration': [], 'target': [], 'external_force': []}
+        self.number = 0  # that the simulator has given to its newest state
+        self.report = {}  # of the simulator
+        takes = {name: kept.append for name, kept in self.messages.items()}
+        takes['configuration'] = self._take_state
         self.subscriptions = [
             observer.node.create_subscription(
-                TOPICS[name].message_type, name, kept.append, TOPICS[name].qos
+                TOPICS[name].message_type, name, take, TOPICS[name].qos
             )
-            for name, kept in self.messages.items()
+            for name, take in takes.items()
         ]
+        self.subscriptions.append(
+            observer.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, 10)
+        )
+
+    def _take_state(self, message, info):
+        self.states.append(message)
+        self.number = info['publication_sequence_number']
+
+    def _hear(self, message):
+        for status in message.status:
+            if status.name == 'simulator':
+                self.report = {each.key: each.value for each in status.values}
 
     @property
     def states(self) -> list[JointState]:
@@ -43,12 +67,14 @@ class Topics:
         self.observer.wait(condition, what)
 
     def catch_up(self):
-        """Take all states that are on their way, where no more are to come."""
-        quiet = 0
-        while quiet < 2:
-            count = len(self.states)
-            self.observer.executor.spin_once(timeout_sec=0.5)
-            quiet = quiet + 1 if len(self.states) == count else 0
+        """Take all states that a paused simulator has published, by its next report."""
+        self.report = {}
+
+        def has_all():
+            report = self.report
+            return report.get('paused') == 'true' and int(report['published']) == self.number
+
+        self.wait(has_all, 'all states')
 
     def wait_for_states(self, count):
         """Wait until so many more states have come."""
@@ -85,36 +111,39 @@ def force_of(message):
     return np.array([message.wrench.force.x, message.wrench.force.y])
 
 
-def test_people_steer_the_body(live, open_page, set_field, tmp_path):
+def test_people_steer_the_body(live, open_page, set_field, drag, tmp_path):
     page = open_page(live.address, viewport=SIZE)
-    page.get_by_text('|u|').wait_for()
+    page.get_by_text(re.compile(r'nMSE \d')).wait_for()  # the ball is where the target has the mass
 
-    # A slider changes the target, and the body follows.
+    def latent_targets():
+        return [np.array(each.position) for each in filter(is_latent, live.messages['target'])]
+
+    def assert_followed():
+        goal = AUTOENCODER.decode(latent_targets()[-1])
+        live.wait_for_states(1)
+
+        def distance():
+            return np.sum((np.array(live.states[-1].position) - goal) ** 2)
+
+        begin = distance()
+        live.wait(lambda: distance() < 0.5 * begin, 'the body at the target')
+        return NETWORK.positions(goal)[MASS]
+
+    # The ball is dragged to where the mass is to be, and the body follows.
+    begin = NETWORK.positions(TARGET.configuration)[MASS]
+    end = begin + 0.3 * (NETWORK.rest_position[MASS] - begin)
+    drag(page, NETWORK, begin, end)
+    page.mouse.up()
+    live.wait(latent_targets, 'the target of the ball')
+    goal = assert_followed()
+    assert np.linalg.norm(goal - end) < 0.5 * np.linalg.norm(goal - begin)
+
+    # A slider changes the target, too.
     page.get_by_role('tab', name='Target').click()
     set_field(page, 'ξ₁', 1.25)
     page.get_by_role('button', name='Send').click()
-    live.wait(lambda: any(map(is_latent, live.messages['target'])), 'the target of the sliders')
-    target = np.array(live.messages['target'][-1].position)
-    assert target[1] == 1.25
-    goal = AUTOENCODER.decode(target)
-    live.wait_for_states(1)
-
-    def distance():
-        return np.sum((np.array(live.states[-1].position) - goal) ** 2)
-
-    begin = distance()
-    live.wait(lambda: distance() < 0.5 * begin, 'the body at the target')
-
-    # A hand that drags the body pushes it, by no more than it may, and lets go.
-    canvas = page.locator('canvas').first.bounding_box()
-    x, y = canvas['x'] + 0.5 * canvas['width'], canvas['y'] + 0.5 * canvas['height']
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 60, y, steps=5)
-    live.wait(lambda: any(force_of(push).any() for push in live.pushes), 'a push')
-    page.mouse.up()
-    live.wait(lambda: not force_of(live.pushes[-1]).any(), 'the hand to let go')
-    assert max(np.linalg.norm(force_of(push)) for push in live.pushes) <= 20.0 * (1 + 1e-12)
+    live.wait(lambda: latent_targets()[-1][1] == 1.25, 'the target of the sliders')
+    assert_followed()
 
     # A log is begun and ended.
     page.get_by_role('tab', name='Run').click()
@@ -128,9 +157,18 @@ def test_people_steer_the_body(live, open_page, set_field, tmp_path):
     page.get_by_text(f'recorded in {bag}').wait_for()
     assert len(read_run(bag).configuration) > 0
 
-    # Paused, the body stands still, and goes on by single steps.
+    # Whoever pauses it, the page shows so.
     page.get_by_role('button', name='Pause').click()
     page.get_by_role('button', name='Go on').wait_for()
+    node = live.observer.node
+    client = node.create_client(SetBool, 'simulator/pause')
+    live.wait(client.service_is_ready, 'the service')
+    answer = client.call_async(SetBool.Request(data=False))
+    live.wait(answer.done, 'an answer')
+    page.get_by_role('button', name='Pause').click()
+    page.get_by_role('button', name='Go on').wait_for()
+
+    # Paused, the body stands still, and goes on by single steps.
     live.catch_up()
     stamp = from_stamp(live.states[-1].header.stamp)
     page.get_by_role('button', name='Step').click()
@@ -144,5 +182,29 @@ def test_people_steer_the_body(live, open_page, set_field, tmp_path):
         lambda: np.array_equal(live.states[-1].position, NETWORK.rest_configuration),
         'the body at rest',
     )
+
+    # A target that the controller refuses is told, whoever gave it.
+    targets = node.create_publisher(JointState, 'target', TOPICS['target'].qos)
+    live.wait(lambda: targets.get_subscription_count() > 1, 'the controller')  # and the test itself
+    targets.publish(JointState(position=[0.0] * 7))
+    page.get_by_text('controller: target: expected 400 positions, got 7').wait_for()
+
+    # A hand that drags the body pushes it, by no more than it may, and lets go.
+    def is_pushed():
+        return bool(live.pushes) and force_of(live.pushes[-1]).any()
+
+    held = NETWORK.rest_position[HELD_MASS]
+    drag(page, NETWORK, held, held + np.array([1.0, 0.0]))
+    live.wait(is_pushed, 'a push')
+    page.mouse.up()
+    live.wait(lambda: not is_pushed(), 'the hand to let go')
+    assert max(np.linalg.norm(force_of(push)) for push in live.pushes) <= 20.0 * (1 + 1e-12)
+
     # That is of viser's camera, where the mouse is moved by a program.
     assert [each for each in page.errors if 'preventDefault inside passive' not in each] == []
+
+    # The hand of a browser that goes lets go, too.
+    drag(page, NETWORK, held, held + np.array([1.0, 0.0]))
+    live.wait(is_pushed, 'another push')
+    page.close()
+    live.wait(lambda: not is_pushed(), 'that hand to let go')

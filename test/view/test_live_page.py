@@ -29,6 +29,13 @@ class Wishes:
             if kind == name:
                 return values
 
+    def before(self, name):
+        """Return what came before the next wish of a kind."""
+        wishes = []
+        while not wishes or wishes[-1][0] != name:
+            wishes.append(self._queue.get(timeout=LONGEST_WAIT))
+        return wishes[:-1]
+
 
 @pytest.fixture
 def wishes():
@@ -114,3 +121,51 @@ def test_two_browsers_see_the_same_and_one_that_hangs_holds_nobody_up(live, open
         for page in pages:
             page.get_by_text('2.99 s').wait_for()
             assert page.errors == []
+
+
+def test_who_drags_first_holds_it_until_the_browser_goes(live, wishes, open_page, drag):
+    network = live.system.mechanics.network
+    positions = network.rest_position
+    middle, corner = positions.mean(axis=0), positions[live.system.actuated_mass]
+    right = np.array([0.3, 0.0])
+    live.show(frame(live, 0.5))
+    first, second = (open_page(live.address, viewport=SIZE) for _ in range(2))
+    for page in (first, second):
+        page.get_by_text('0.50 s').wait_for()
+
+    def wait_for_push(condition):
+        while not condition(wishes.next('push')[1]):
+            pass
+
+    def drag_in_vain(begin):
+        """Drag to the left, let go, and ask for something else; return what came before that."""
+        drag(second, network, begin, begin - right)
+        second.mouse.up()
+        second.get_by_role('button', name='Reset').click()
+        return wishes.before('reset')
+
+    # The body.
+    drag(first, network, middle, middle + right)
+    wait_for_push(lambda force: force[0] > 0)
+    pushes = [values for kind, *values in drag_in_vain(middle) if kind == 'push']
+    assert all(force[0] >= 0 for _, force in pushes)
+    first.mouse.up()
+    wait_for_push(lambda force: not force.any())
+
+    # The ball of the target: what was only previewed goes with the browser.
+    second.get_by_role('tab', name='Target').click()
+    drag(first, network, corner, corner - right)
+    second.get_by_role('button', name='Send', disabled=False).wait_for()
+    second.get_by_role('tab', name='Run').click()
+    assert 'aim' not in {kind for kind, *_ in drag_in_vain(corner)}
+    first.close()
+    second.get_by_role('tab', name='Target').click()
+    second.get_by_role('button', name='Send', disabled=True).wait_for()
+    live.show(frame(live, 1.5))
+    second.get_by_role('tab', name='Run').click()
+    second.get_by_text('1.50 s').wait_for()
+    drag(second, network, corner, corner + right)
+    second.mouse.up()
+    (target,) = wishes.next('aim')
+    aimed = network.positions(live.system.autoencoder.decode(target.latent))
+    assert aimed[live.system.actuated_mass][0] > corner[0]
