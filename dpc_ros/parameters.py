@@ -117,12 +117,13 @@ def parse_overrides(items: Iterable[str]) -> dict[str, dict[str, Any]]:
     return overrides
 
 
-def read_sections(text: str, origin: str) -> dict[str, dict[str, Any]]:
+def read_sections(text: str, origin: str, others: Iterable[str] = ()) -> dict[str, dict[str, Any]]:
     """Return the sections of a ROS 2 parameter file by the kind of node, `/**` for all of them.
 
     Args:
         text: of the file.
         origin: what to call it in an error.
+        others: sections that are of no node, and are passed over.
 
     Raises:
         ParameterError: it is no such file.
@@ -134,6 +135,7 @@ def read_sections(text: str, origin: str) -> dict[str, dict[str, Any]]:
                 entry['ros__parameters']
             )
             for section, entry in content.items()
+            if section not in others
         }
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise ParameterError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import socket
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, ItemsView
@@ -18,6 +19,7 @@ from dpc_ros.nodes.window import RoundTrips, Window, jitter, percentiles
 DIAGNOSTICS = '/diagnostics'  # topic
 ADDRESS_READING = 'address'  # of the page that a node serves
 PAUSED_READING = 'paused'  # whether a node was told to hold what it moves
+HOST_READING = 'host'
 PROCESS_READING = 'process id'
 REJECTED_READING = 'rejected: '  # begins each reason
 NO_WATCHDOG = 'none'
@@ -165,6 +167,7 @@ class Health:
         """
         values = {
             'state': state,
+            HOST_READING: socket.gethostname(),
             PROCESS_READING: os.getpid(),
             'uptime [s]': f'{time.monotonic() - self._started:.1f}',
             'peak memory [MiB]': f'{_peak_memory():.1f}',
@@ -233,6 +236,11 @@ def _peak_memory() -> float:
         return math.nan
     sizes = (line.split()[1] for line in lines if line.startswith('VmHWM:'))  # [KiB]
     return float(next(sizes, math.nan)) / 1024
+
+
+def identity(process: int | str, host: str = '') -> str:
+    """Return what tells a process from all others: its number on a host, this one by default."""
+    return f'{host or socket.gethostname()}/{process}'
 
 
 def diagnostic_array(stamp: Any, status: DiagnosticStatus) -> DiagnosticArray:

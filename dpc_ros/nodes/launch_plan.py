@@ -12,6 +12,7 @@ import yaml
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
+from dpc_ros.nodes.hosts import SECTION, Host, read_hosts
 from dpc_ros.nodes.topic_selection import TopicSelection
 from dpc_ros.parameters import ParameterError, declarations, node_parameters, read_sections
 
@@ -47,6 +48,7 @@ class LaunchPlan:
         restarts: how often in the run a node that has crashed is started anew.
         silence: time [s] without a report of a node after which it is unresponsive; 0 is never.
         companions: kinds of those nodes that only look on; what happens to them ends no run.
+        hosts: of the nodes that run on another one.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -57,6 +59,7 @@ class LaunchPlan:
     restarts: int = 0
     silence: float = 0.0
     companions: tuple[str, ...] = ()
+    hosts: Mapping[str, Host] = field(default_factory=dict)
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -79,9 +82,11 @@ class LaunchPlan:
         return Path(self.parameters[RECORDER]['bag']) if RECORDER in self.parameters else None
 
     def records(self, topic: str) -> bool:
-        """Return whether a topic of the loop is in the log."""
-        return RECORDER in self.parameters and _selects(
-            self.parameters[RECORDER], self.namespace, topic
+        """Return whether a topic of the loop is in the log, and that on this host."""
+        return (
+            RECORDER in self.parameters
+            and RECORDER not in self.hosts
+            and _selects(self.parameters[RECORDER], self.namespace, topic)
         )
 
     def write(self) -> None:
@@ -114,6 +119,7 @@ def make_plan(
     restarts: int = 0,
     silence: float = 0.0,
     companions: Iterable[str] = (),
+    monitored: bool = True,
 ) -> LaunchPlan:
     """Merge a parameter file with overrides and check every value.
 
@@ -127,6 +133,7 @@ def make_plan(
         silence: see `LaunchPlan`.
         companions: some of `COMPANIONS`, to be started beside the loop; network and checkpoint are
             those of simulator and encoder where they are given no others.
+        monitored: whether the launcher reads along, which the nodes then wait for.
 
     Raises:
         FileExistsError: the folder exists.
@@ -142,7 +149,8 @@ def make_plan(
         raise FileExistsError(f'{folder} exists already: choose another --output')
     if not config.is_file():
         raise FileNotFoundError(f'no parameter file {config}')
-    sections = read_sections(config.read_text(errors='replace'), str(config))
+    text = config.read_text(errors='replace')
+    sections = read_sections(text, str(config), others=(SECTION,))
     nodes = ((RECORDER,) if record else ()) + LOOP
     _check_known(config, sections, overrides)
     folder = folder.resolve()
@@ -180,7 +188,7 @@ def make_plan(
             readers = [*declarations(node)['expected_subscribers'].default]
             if RECORDER in nodes and _selects(parameters[RECORDER], namespace, output):
                 readers.append(RECORDER)
-            if output in MONITORED:
+            if monitored and output in MONITORED:
                 readers.append(LAUNCHER)
             if node == 'controller' and observes:
                 readers.append('encoder')
@@ -201,7 +209,18 @@ def make_plan(
         restarts=restarts,
         silence=silence,
         companions=companions,
+        hosts=_hosts(text, str(config), tuple(parameters)),
     )
+
+
+def _hosts(text: str, origin: str, kinds: tuple[str, ...]) -> dict[str, Host]:
+    """Return the hosts that a parameter file names, of the kinds of nodes that are started.
+
+    Raises:
+        ParameterError: the section has another form, or is unreasonable.
+    """
+    hosts = read_hosts((yaml.safe_load(text) or {}).get(SECTION, {}), f'{origin}: {SECTION}', NODES)
+    return {kind: host for kind, host in hosts.items() if kind in kinds}
 
 
 def _check_observer(encoder: Mapping[str, Any], simulator: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import os
 import sys
 import time
 import traceback
@@ -17,7 +18,9 @@ from rclpy.context import Context
 from rclpy.executors import Executor
 
 from dpc_ros.bag import draw, table
+from dpc_ros.nodes.by_hand import commands_by_hand
 from dpc_ros.nodes.executor import make_executor
+from dpc_ros.nodes.hosts import check_discovery
 from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
@@ -48,6 +51,8 @@ def _main(options: argparse.Namespace) -> int:
             f'hold it up; start `{options.companions[0]}_node` by itself, in another terminal',
             2,
         )
+    if options.composed and options.by_hand:
+        return _complain('--by-hand with --composed: nodes that are one process start as one', 2)
     try:
         plan = make_plan(
             Path(options.config),
@@ -58,10 +63,17 @@ def _main(options: argparse.Namespace) -> int:
             0 if options.composed else options.restarts,
             options.silence,
             options.companions,
+            monitored=not options.by_hand,
         )
+        if plan.hosts and options.composed:
+            raise ValueError('--composed: nodes that are one process are on one host')
+        check_discovery(plan.hosts, os.environ)
         plan.write()
     except (ValueError, OSError) as error:
         return _complain(str(error), 2)
+    if options.by_hand:
+        print(commands_by_hand(plan))
+        return 0
     return launch(plan, options.composed)
 
 
@@ -219,7 +231,7 @@ def report(plan: LaunchPlan, outcome: Outcome) -> int:
         print()
         print(f'figure      {figure}')
     for bag in outcome.bags:
-        print(f'log         {bag}')
+        print(f'log         {_where(plan, bag)}')
     print(f'parameters  {plan.parameters_file}')
     if outcome.restarts:
         print(f'restarts    {_list_restarts(outcome)}')
@@ -247,6 +259,14 @@ def _show_convergence(plan: LaunchPlan) -> Path:
             print(note)
     draw(convergence, figure)
     return figure
+
+
+def _where(plan: LaunchPlan, bag: Path) -> str:
+    """Return where a log is, on another host as `scp` has it."""
+    host = plan.hosts.get(RECORDER)
+    if host is None:
+        return str(bag)
+    return f'{host.ssh or host.name}:{host.folder}/{bag.relative_to(plan.folder.parent)}'
 
 
 def _list_restarts(outcome: Outcome) -> str:
@@ -295,6 +315,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--realtime', action='store_true', help='by the wall clock, not lockstep')
     parser.add_argument('--output', help='folder of the run, new; default runs/<date>_<time>')
     parser.add_argument('--composed', action='store_true', help='all nodes in one process')
+    parser.add_argument(
+        '--by-hand',
+        action='store_true',
+        help='start nothing: write the parameters, and show the commands for each host',
+    )
     parser.add_argument(
         '--restarts',
         type=int,

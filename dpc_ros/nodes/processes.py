@@ -13,10 +13,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from dpc_ros.bag import further_folder
+from dpc_ros.nodes.health import identity
+from dpc_ros.nodes.hosts import environment_there
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.loop_node import CRASHED
+from dpc_ros.nodes.program import PARENT_VARIABLE, interrupts_wait
 from dpc_ros.nodes.provenance import COMMAND_VARIABLE
-from dpc_ros.nodes.stop import PARENT_VARIABLE
+from dpc_ros.nodes.remote_process import RemoteProcess
 from dpc_ros.results import command_line
 
 STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
@@ -28,9 +31,9 @@ _ASKED_TO_STOP = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)  # exit co
 class NodeProcesses:
     """Starts the nodes of a plan, says how they ended, and ends them in order.
 
-    Each runs in a session of its own, so that a Ctrl-C in the terminal reaches the launcher alone,
-    which then ends the loop before the recorder. Output goes to `log/<node>.log` of the run, that
-    of a node that is started anew behind what is there.
+    Each runs on its host, here in a session of its own, so that a Ctrl-C in the terminal reaches
+    the launcher alone, which then ends the loop before the recorder. Output goes to
+    `log/<node>.log` of the run, that of a node that is started anew behind what is there.
 
     They are started all at once: each waits for the readers of its topics (`expected_subscribers`),
     the first of them for the recorder, so that starting one after the other would add nothing but
@@ -43,7 +46,7 @@ class NodeProcesses:
 
     def __init__(self, plan: LaunchPlan) -> None:
         self._plan = plan
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, subprocess.Popen[bytes] | RemoteProcess] = {}
         self._log_begins: dict[str, int] = {}  # where the output of the present process does
         self.restarts: Counter[str] = Counter()
         self.bags = [plan.bag] if plan.bag else []
@@ -76,9 +79,10 @@ class NodeProcesses:
         """Return whether any of some nodes has not ended."""
         return bool({*nodes} & self._processes.keys() - self.ended().keys())
 
-    def process_id(self, node: str) -> int:
-        """Return the number of the process that a node is."""
-        return self._processes[node].pid
+    def identity(self, node: str) -> str:
+        """Return host and number of the process that a node is; empty while they are not known."""
+        process = self._processes[node]
+        return process.identity if isinstance(process, RemoteProcess) else identity(process.pid)
 
     def ask_to_stop(self, nodes: Iterable[str]) -> None:
         """Send those of some nodes that run what a Ctrl-C does."""
@@ -139,21 +143,23 @@ class NodeProcesses:
         return self._plan.folder / 'log' / f'{node}.log'
 
     def _start(self, node: str, arguments: Iterable[str] = ()) -> None:
-        environment = {
-            **os.environ,
-            PARENT_VARIABLE: str(os.getpid()),
-            COMMAND_VARIABLE: command_line(),
-            'PYTHONUNBUFFERED': '1',
-        }
-        command = [sys.executable, '-m', f'dpc_ros.nodes.{node}_node']
+        arguments = [*self._plan.ros_arguments(node), *arguments]
+        environment = {COMMAND_VARIABLE: command_line(), 'PYTHONUNBUFFERED': '1'}
+        host = self._plan.hosts.get(node)
         with self._log(node).open('ab') as log, interrupts_wait():
             self._log_begins[node] = log.tell()
+            if host is not None:
+                environment |= environment_there(host, os.environ)
+                self._processes[node] = RemoteProcess(
+                    host, node, self._plan.folder, arguments, environment, log
+                )
+                return
             self._processes[node] = subprocess.Popen(
-                [*command, *self._plan.ros_arguments(node), *arguments],
+                [sys.executable, '-m', f'dpc_ros.nodes.{node}_node', *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=environment,
+                env={**os.environ, **environment, PARENT_VARIABLE: str(os.getpid())},
                 start_new_session=True,
             )
 
@@ -165,13 +171,3 @@ def said_reason(code: int, said: str) -> str:
     lines = [line for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
     return errors[-1].removeprefix('error: ') if errors else 'it printed nothing'
-
-
-@contextlib.contextmanager
-def interrupts_wait():
-    """Let a SIGINT wait; for a process that is started now until it says that it can take one."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

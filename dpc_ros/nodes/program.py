@@ -10,9 +10,12 @@ from __future__ import annotations
 import atexit
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 
+PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'  # of who started a node, and with whom it ends
 _INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
 
 
@@ -28,6 +31,16 @@ def end_quietly(program: str) -> None:
         signal.signal, signal.SIGINT, signal.SIG_IGN
     )  # at the end nothing is left to do
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def interrupts_wait() -> Iterator[None]:
+    """Let a SIGINT wait; for a process that is started now until it says that it can take one."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _run(program: str) -> None:

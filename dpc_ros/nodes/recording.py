@@ -10,8 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from dpc_ros.nodes.processes import interrupts_wait, said_reason
-from dpc_ros.nodes.stop import PARENT_VARIABLE
+from dpc_ros.nodes.processes import said_reason
+from dpc_ros.nodes.program import PARENT_VARIABLE, interrupts_wait
 
 _LONGEST_END = 60.0  # s; it may have to take what waits for it, and to write that
 _LONGEST_WAIT = 8.0  # s; a node that is silent for longer is taken for hung

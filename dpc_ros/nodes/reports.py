@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from dpc_ros.nodes.health import PROCESS_READING
+from dpc_ros.nodes.health import HOST_READING, PROCESS_READING, identity
 
 LONGEST_SILENCE = 3.0  # s after which a node that reports once a second is taken for dead
-_KEYS = {'state', PROCESS_READING, 'rate [Hz]', 'watchdog'}  # by which a report of ours is known
+# By which a report of ours is known.
+_KEYS = {'state', HOST_READING, PROCESS_READING, 'rate [Hz]', 'watchdog'}
 _MOST_NODES = 100
 
 
@@ -59,8 +60,9 @@ class Reports:
         if not node.startswith(self._prefix):
             return None
         problem = '' if status.level == DiagnosticStatus.OK else status.message
+        process = identity(values[PROCESS_READING], values[HOST_READING])
         report = Report(node, now, values, problem)
-        self._reports[node, values[PROCESS_READING]] = report
+        self._reports[node, process] = report
         if len(self._reports) > _MOST_NODES:
             del self._reports[min(self._reports, key=lambda key: self._reports[key].time)]
         return report

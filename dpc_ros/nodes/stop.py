@@ -13,8 +13,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dpc_ros.nodes.discovery import announce_often
+from dpc_ros.nodes.program import PARENT_VARIABLE
 
-PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

@@ -6,9 +6,15 @@ import json
 import time
 from collections.abc import Iterable
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 
-from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS, PROCESS_READING
+from dpc_ros.nodes.health import (
+    ADDRESS_READING,
+    DIAGNOSTICS,
+    HOST_READING,
+    PROCESS_READING,
+    identity,
+)
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import NodeProcesses
@@ -42,7 +48,7 @@ class Supervision:
         self._plan = plan
         self._processes = processes
         self._monitor = monitor
-        self._silent_for: dict[str, float] = {}  # s, by number of the process
+        self._silent_for: dict[str, float] = {}  # s, by process
         self._reported: set[str] = set()  # processes whose silence was
         self._given_up: set[str] = set()
         self._addresses: dict[str, str] = {}  # of the pages that nodes serve
@@ -111,8 +117,8 @@ class Supervision:
         return sum(count for kind, count in restarts.items() if kind not in companions)
 
     def _process(self, name: str) -> str:
-        """Return the number of the process that a node is; of no other, whatever its name."""
-        return str(self._processes.process_id(name)) if name in self._plan.nodes else ''
+        """Return the process that a node is; of no other, whatever its name."""
+        return self._processes.identity(name) if name in self._plan.nodes else ''
 
     def _target(self) -> Iterable[str]:
         """Return the arguments by which a controller begins with the target that was in force."""
@@ -132,14 +138,14 @@ class Supervision:
 
     def _hear(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            for reading in status.values:
-                if reading.key == PROCESS_READING and reading.value == self._process(status.name):
-                    self._silent_for[reading.value] = 0.0
-                    self._announce(status)
+            values = {reading.key: reading.value for reading in status.values}
+            process = identity(values.get(PROCESS_READING, ''), values.get(HOST_READING, ''))
+            if process == self._process(status.name):
+                self._silent_for[process] = 0.0
+                self._announce(status.name, values.get(ADDRESS_READING, ''))
 
-    def _announce(self, status: DiagnosticStatus) -> None:
-        """Say once where the page of a node is."""
-        for reading in status.values:
-            if reading.key == ADDRESS_READING and self._addresses.get(status.name) != reading.value:
-                self._addresses[status.name] = reading.value
-                self._monitor.say(f'{status.name:<10}  {reading.value}')
+    def _announce(self, node: str, address: str) -> None:
+        """Say once where the page of a node is, if it has one."""
+        if address and self._addresses.get(node) != address:
+            self._addresses[node] = address
+            self._monitor.say(f'{node:<10}  {address}')

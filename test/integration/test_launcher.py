@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sys
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +23,7 @@ from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import PROCESS_READING
 from dpc_ros.nodes.markers_node import MARKERS
 from dpc_ros.nodes.messages import from_stamp
-from dpc_ros.nodes.stop import PARENT_VARIABLE
+from dpc_ros.nodes.program import PARENT_VARIABLE
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS, TARGET_QOS
 from dpc_ros.resources import config_path
 
@@ -388,7 +389,8 @@ def test_nodes_that_crash_or_hang_are_started_anew(domain, observer, tmp_path, a
 def test_a_companion_that_crashes_is_no_matter_to_the_run(
     domain, observer, tmp_path, assert_repeats
 ):
-    run = Launched(domain, observer, tmp_path / 'run', '--markers', '--restarts', '1')
+    options = ('--markers', '--restarts', '1')
+    run = Launched(domain, observer, tmp_path / 'run', *options, watch_memory=True)
     run.wait(lambda: run.nodes('markers'), 'the companion')
     (first,) = run.nodes('markers')
     domain.will_leave_behind(first)
@@ -406,6 +408,70 @@ def test_a_companion_that_crashes_is_no_matter_to_the_run(
     assert 'markers was ended by SIGKILL, and --restarts 1 allows no more; the run goes' in output
     assert 'restarts    markers 1\n' in output
     run.assert_nothing_is_left()
+
+
+ELSEWHERE = """
+hosts:
+  brain:
+    nodes: [controller]
+    command: [env]
+    python: {python}
+    folder: {folder}
+    environment: {{ROS_STATIC_PEERS: 127.0.0.1}}
+  disk:
+    nodes: [recorder]
+    command: [env, SHELL=/bin/sh]
+    python: {python}
+    folder: {folder}
+    environment: {{OMP_NUM_THREADS: 2}}
+"""
+
+
+def test_nodes_on_other_hosts_are_looked_after_as_those_here(
+    domain, observer, tmp_path, assert_repeats
+):
+    """What is reached by a command need not be far away."""
+    there = tmp_path / 'there'
+    config = tmp_path / 'hosts.yaml'
+    demo = config_path('demo.yaml').read_text()
+    config.write_text(demo + ELSEWHERE.format(python=sys.executable, folder=there))
+    options = ('--config', str(config), '--duration', '1', '--set=simulator.resend_interval=0.05')
+    run = Launched(domain, observer, tmp_path / 'run', *options)
+    run.begin('controller', 'recorder')
+    run.wait(lambda: len(run.stamps) > 2, 'the first steps')
+    assert f'DPC_ROS_LAUNCHER_PID={run.launcher.pid}' not in environment_of(run, 'controller')
+    assert 'OMP_NUM_THREADS=2' in environment_of(run, 'recorder')
+    run.signal('controller', signal.SIGKILL)
+    code, output = run.end()
+    assert code == 0, output
+    assert_repeats(there / 'run' / 'bag', steps=200, killed=('force',))
+    assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
+    assert f'log         disk:{there}/run/bag\n' in output
+
+
+def environment_of(run, name):
+    content = Path(f'/proc/{run.processes[name]}/environ').read_text()
+    return content.split('\0')
+
+
+@pytest.mark.faults(
+    fault='the launcher is killed (`kill -9`)',
+    promise='its nodes end, those on other hosts, too',
+    mode='both',
+    most=5,
+)
+@pytest.mark.long
+def test_nodes_end_with_a_launcher_that_was_killed(domain, observer, tmp_path):
+    config = tmp_path / 'hosts.yaml'
+    demo = config_path('demo.yaml').read_text()
+    config.write_text(demo + ELSEWHERE.format(python=sys.executable, folder=tmp_path / 'there'))
+    options = ('--config', str(config), '--duration', '0')
+    run = Launched(domain, observer, tmp_path / 'run', *options)
+    run.begin(*NODES)
+    run.wait(lambda: len(run.stamps) > 2, 'the first steps')
+    domain.kill(run.launcher)
+    observer.wait(lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone')
+    assert read_run(tmp_path / 'there' / 'run' / 'bag').configuration.size
 
 
 @pytest.mark.faults(

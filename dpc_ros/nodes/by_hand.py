@@ -1,0 +1,48 @@
+"""The commands that start the nodes of a plan, for people who start them themselves."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+
+from dpc_ros.nodes.hosts import Host, environment_there
+from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+
+
+def commands_by_hand(plan: LaunchPlan) -> str:
+    """Return what to type here: what takes the parameters to a host, and a line for each node.
+
+    Args:
+        plan: what to start; its parameter file must have been written.
+    """
+    here = [kind for kind in plan.nodes if kind not in plan.hosts]
+    lines = ['# here', *(_command(plan, kind) for kind in here)] if here else []
+    for host in {host.name: host for host in plan.hosts.values()}.values():
+        folder = shlex.quote(_folder(plan, host))
+        take = host.typed(f'mkdir -p {folder} && cat > {folder}/parameters.yaml', terminal=False)
+        lines += ['', f'# {host.name}', f'{take} < {shlex.quote(str(plan.parameters_file))}']
+        lines += [
+            host.typed(_command(plan, kind, host))
+            for kind in plan.nodes
+            if plan.hosts.get(kind) == host
+        ]
+    return '\n'.join(lines).lstrip('\n')
+
+
+def _command(plan: LaunchPlan, kind: str, host: Host | None = None) -> str:
+    """Return the command of a node as a shell on its own host takes it."""
+    python = sys.executable if host is None else host.python
+    command = [python, '-m', f'dpc_ros.nodes.{kind}_node', *plan.ros_arguments(kind)]
+    if host is None:
+        return shlex.join(command)
+    there = _folder(plan, host)
+    if kind == RECORDER:
+        command += ['-p', f'bag:={there}/bag', '-p', f'parameters_file:={there}/parameters.yaml']
+    variables = [f'{name}={value}' for name, value in environment_there(host, os.environ).items()]
+    moved = [each.replace(str(plan.folder), there) for each in command]
+    return shlex.join([*(['env', *variables] if variables else []), *moved])
+
+
+def _folder(plan: LaunchPlan, host: Host) -> str:
+    return f'{host.folder}/{plan.folder.name}'
