@@ -6,8 +6,15 @@ import pytest
 from domain_coordinator import domain_id
 
 from dpc_ros.nodes.discovery import PROFILE_VARIABLES, announce_often
+from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.resources import config_path
 
+# What the profiles say of it in a comment.
+RENAMED = {
+    'heartbeatPeriod': 'heartbeat_period',
+    'nackResponseDelay': 'nack_response_delay',
+    'heartbeatResponseDelay': 'heartbeat_response_delay',
+}
 MEET = """
 import rclpy
 from dpc_ros.nodes.discovery import announce_often
@@ -57,11 +64,22 @@ def test_a_profile_in_the_working_directory_is_kept(empty_folder, name):
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES)
 
 
-def test_fast_dds_has_nothing_to_say_against_the_shipped_profile():
+@pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
+def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
+    is_renamed = ros_distribution() not in ('humble', 'iron', 'jazzy')
+    text = config_path(name).read_text()
+    for old, new in RENAMED.items() if is_renamed else ():
+        text = text.replace(f'{old}>', f'{new}>')
+    profile = empty_folder / name
+    profile.write_text(text)
     with domain_id() as domain:
-        environment = os.environ | {'ROS_DOMAIN_ID': str(domain)}
+        variables = {'ROS_DOMAIN_ID': str(domain), PROFILE_VARIABLES[is_renamed]: str(profile)}
         command = [sys.executable, '-c', MEET]
         run = subprocess.run(
-            command, env=environment, stderr=subprocess.STDOUT, stdout=subprocess.PIPE, text=True
+            command,
+            env=os.environ | variables,
+            stderr=subprocess.STDOUT,
+            stdout=subprocess.PIPE,
+            text=True,
         )
     assert (run.returncode, run.stdout) == (0, '')
