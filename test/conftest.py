@@ -131,10 +131,13 @@ def pytest_configure(config):
 class _BySubject(LoadScopeScheduling):
     """Keeps the tests of a file, and all those with processes on DDS, in one of several workers.
 
-    Ports in the shared memory of Fast DDS belong to all domains of a machine.
+    Ports in the shared memory of Fast DDS belong to all domains of a machine. Tests on hosts that
+    have a shared memory of their own stand beside all others.
     """
 
     def _split_scope(self, nodeid):
+        if nodeid.startswith('test/integration/hosts/'):
+            return 'hosts'
         is_on_dds = nodeid.startswith(('test/integration/', 'test/nodes/', 'test/packaging/'))
         return 'dds' if is_on_dds else nodeid.partition('::')[0]
 

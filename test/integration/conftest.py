@@ -103,10 +103,14 @@ class Domain:
         return self._start(['-c', script, *arguments], {**self.environment, **variables})
 
     def _start(
-        self, arguments: list[str], environment: dict[str, str], cwd: Path | None = None
+        self,
+        arguments: list[str],
+        environment: dict[str, str],
+        cwd: Path | None = None,
+        through: Iterable[str] = (),
     ) -> subprocess.Popen:
         process = subprocess.Popen(
-            [sys.executable, *arguments],
+            [*through, sys.executable, *arguments],
             env=environment,
             cwd=cwd,
             stdout=subprocess.PIPE,
@@ -117,8 +121,12 @@ class Domain:
         self.processes.append(process)
         return process
 
-    def start_node(self, kind: str, plan: LaunchPlan) -> subprocess.Popen:
-        return self.start(f'{kind}_node', *plan.ros_arguments())
+    def start_node(
+        self, kind: str, plan: LaunchPlan, through: Iterable[str] = (), **variables: str
+    ) -> subprocess.Popen:
+        """Start a node, where a command that runs another is given, through that."""
+        arguments = ['-m', f'dpc_ros.nodes.{kind}_node', *plan.ros_arguments()]
+        return self._start(arguments, {**self.environment, **variables}, through=through)
 
     def run(self, module: str, *arguments: str, cwd: Path | None = None) -> tuple[int, str]:
         process = self.start(module, *arguments, cwd=cwd)
