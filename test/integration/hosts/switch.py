@@ -173,6 +173,7 @@ class Switch:
 
 
 def main(names):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the tests, which end this
     hosts = {name: start_host(name, number) for number, name in enumerate(names, start=1)}
     print(json.dumps({name: process for name, (process, _) in hosts.items()}), flush=True)
     Switch({name: tap for name, (_, tap) in hosts.items()}).run()
