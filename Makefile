@@ -64,7 +64,7 @@ help:
 	@echo 'make demo   run the three nodes, record, and show how the body converged'
 	@echo 'make live   run the nodes until Ctrl-C, with a web page on which to see and steer the body'
 	@echo 'make test   run linters, type checks and all tests'
-	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json'
+	@echo 'make test-long   run the tests that are too long for every change, for hours; write docs/results/faults.json and hosts.json'
 	@echo 'make bench  measure everything beside its peers; write docs/results/benchmarks.json'
 	@echo 'make browser   install Chromium for the tests of pages (Debian and Ubuntu, as root)'
 	@echo 'make venv   only install, into $(VENV)'
@@ -83,8 +83,10 @@ test: $(VENV)/test.stamp browser
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 test-long: $(VENV)/test.stamp
-	$(BIN)/python -m pytest -m 'long or faults' --repetitions=50 \
+	$(BIN)/python -m pytest -m 'long or faults' --repetitions=50 --ignore=test/integration/hosts \
 		--fault-results=docs/results/faults.json $(ARGS)
+	$(BIN)/python -m pytest -m 'long or faults' --repetitions=5 test/integration/hosts \
+		--fault-results=docs/results/hosts.json $(ARGS)
 	$(BIN)/dpc paper tables
 
 bench: $(VENV)/test.stamp

@@ -106,7 +106,7 @@ class SimulatorNode(LoopNode):
         self._published_at = self.steady_time()
         self._begin_waiting()
         self._watchdog = self.create_timer(
-            self.settings['resend_interval'], self._watch, clock=self._steady_clock
+            self.settings['resend_interval'] / 2, self._watch, clock=self._steady_clock
         )
         self._publish_state()
 

@@ -435,6 +435,7 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'reachable': _reachable,
     'failures': _failures,
     'faults': _faults,
+    'hosts': _faults,
     'benchmarks': _benchmarks,
 }
 

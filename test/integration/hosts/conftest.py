@@ -16,10 +16,19 @@ from dpc_ros.nodes.launch_plan import LOOP
 SWITCH = Path(__file__).with_name('switch.py')
 PLACES = {'simulator': 'body', 'encoder': 'brain', 'controller': 'brain', 'recorder': 'log'}
 HOSTS = ('body', 'brain', 'log')
+MOST = 5  # repetitions of a test
 GIVE_UP = 200.0  # s after which a test stops waiting; nothing is asserted about the time itself
 TOOLS = ('ip', 'mount', 'nsenter', 'setpriv', 'unshare')
 # What it starts ends with the test, even if that is killed.
 BOUND = ('setpriv', '--pdeathsig', 'KILL', '--')
+
+
+def pytest_generate_tests(metafunc):
+    """Repeat each test of a network as often as `--repetitions` says, few times at most."""
+    count = min(metafunc.config.getoption('--repetitions'), MOST)
+    if count > 1 and 'network' in metafunc.fixturenames:
+        metafunc.fixturenames.append('_repetition')
+        metafunc.parametrize('_repetition', range(count))
 
 
 @dataclass
