@@ -55,7 +55,10 @@ BROWSER_LOG := $(VENV)-browser.log
 
 PIP_INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet $(CONSTRAINTS)
 # Without --use-pep517 an older pip calls setup.py, which puts the scripts where colcon wants them.
-INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation --editable
+# In compat mode Python finds the package on its path, also where it starts beside a clone called
+# dpc_ros, as ssh does in a home: there it would take that folder for the package.
+INSTALL := $(PIP_INSTALL) $(UPON_OPTIONS) --use-pep517 --no-build-isolation \
+	--config-settings editable_mode=compat --editable
 
 .PHONY: help demo live test test-long bench venv browser clean
 .DEFAULT_GOAL := help

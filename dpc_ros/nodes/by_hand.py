@@ -6,8 +6,8 @@ import os
 import shlex
 import sys
 
-from dpc_ros.nodes.hosts import Host, environment_there
-from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
+from dpc_ros.nodes.hosts import Host, agreed, environment_there
+from dpc_ros.nodes.launch_plan import LaunchPlan
 
 
 def commands_by_hand(plan: LaunchPlan) -> str:
@@ -19,7 +19,7 @@ def commands_by_hand(plan: LaunchPlan) -> str:
     here = [kind for kind in plan.nodes if kind not in plan.hosts]
     lines = ['# here', *(_command(plan, kind) for kind in here)] if here else []
     for host in {host.name: host for host in plan.hosts.values()}.values():
-        folder = shlex.quote(_folder(plan, host))
+        folder = shlex.quote(host.run_folder(plan.folder))
         take = host.typed(f'mkdir -p {folder} && cat > {folder}/parameters.yaml', terminal=False)
         lines += ['', f'# {host.name}', f'{take} < {shlex.quote(str(plan.parameters_file))}']
         lines += [
@@ -32,17 +32,15 @@ def commands_by_hand(plan: LaunchPlan) -> str:
 
 def _command(plan: LaunchPlan, kind: str, host: Host | None = None) -> str:
     """Return the command of a node as a shell on its own host takes it."""
-    python = sys.executable if host is None else host.python
-    command = [python, '-m', f'dpc_ros.nodes.{kind}_node', *plan.ros_arguments(kind)]
-    if host is None:
-        return shlex.join(command)
-    there = _folder(plan, host)
-    if kind == RECORDER:
-        command += ['-p', f'bag:={there}/bag', '-p', f'parameters_file:={there}/parameters.yaml']
-    variables = [f'{name}={value}' for name, value in environment_there(host, os.environ).items()]
-    moved = [each.replace(str(plan.folder), there) for each in command]
-    return shlex.join([*(['env', *variables] if variables else []), *moved])
+    arguments = ['-m', f'dpc_ros.nodes.{kind}_node', *plan.ros_arguments(kind)]
+    if host is not None:
+        variables = environment_there(host, os.environ)
+        moved = [host.moved(argument, plan.folder) for argument in arguments]
+        return shlex.join([*_setting(variables), host.python, *moved])
+    variables = agreed(os.environ) if plan.hosts else {}  # which a terminal of its own may lack
+    return shlex.join([*_setting(variables), sys.executable, *arguments])
 
 
-def _folder(plan: LaunchPlan, host: Host) -> str:
-    return f'{host.folder}/{plan.folder.name}'
+def _setting(variables: dict[str, str]) -> list[str]:
+    assignments = [f'{name}={value}' for name, value in variables.items()]
+    return ['env', *assignments] if assignments else []

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from dpc_ros.parameters import ParameterError
 
 SECTION = 'hosts'  # of a parameter file for the launcher
-# Without a terminal, and with an end for who waits in vain: for a password, or for a dead link.
+# Without a terminal; a connection for each node, with an end for who waits in vain: for a password,
+# or for a dead link.
 _SSH = (
-    'ssh',
-    '-T',
-    '-o',
-    'BatchMode=yes',
-    '-o',
-    'ConnectTimeout=10',
-    '-o',
-    'ServerAliveInterval=5',
+    *('ssh', '-T', '-o', 'BatchMode=yes', '-o', 'ControlMaster=no', '-o', 'ControlPath=none'),
+    *('-o', 'ConnectTimeout=10', '-o', 'ServerAliveInterval=5', '-o', 'ServerAliveCountMax=3'),
 )
 _KEYS = ('nodes', 'ssh', 'command', 'python', 'folder', 'environment')
-_FORWARDED = ('ROS_DOMAIN_ID', 'RMW_IMPLEMENTATION')  # in which all nodes of a run must agree
-_RANGE, _PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
-_TOO_NEAR = ('LOCALHOST', 'OFF')
+# In which all nodes of a run must agree, and what they are where they are not set.
+_FORWARDED = {'ROS_DOMAIN_ID': '0', 'RMW_IMPLEMENTATION': ''}
+_RANGE, _PEERS, _LOCAL = (
+    'ROS_AUTOMATIC_DISCOVERY_RANGE',
+    'ROS_STATIC_PEERS',
+    'ROS_LOCALHOST_ONLY',  # of older distributions; rcl still obeys it
+)
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,14 @@ class Host:
         if self.command:
             return shlex.join([*self.command, 'sh', '-c', line])
         return shlex.join(['ssh', *(['-t'] if terminal else []), self.ssh, line])
+
+    def moved(self, text: str, run: Path) -> str:
+        """Return a text with the folder of a run there where it has that of the run here."""
+        return text.replace(f'{run}/', f'{self.run_folder(run)}/')
+
+    def run_folder(self, run: Path) -> str:
+        """Return the folder of a run there, by its folder here."""
+        return f'{self.folder}/{run.name}'
 
 
 def read_hosts(content: Any, origin: str, kinds: tuple[str, ...]) -> dict[str, Host]:
@@ -111,16 +120,15 @@ def _read_host(name: str, entry: Any, origin: str) -> Host:
     for key, text in texts.items():
         if not isinstance(text, str) or not text or text.startswith('-'):
             raise ParameterError(f'{origin}: {key}: expected a text, got {text!r}')
-    environment = entry.get('environment', {})
-    if not isinstance(environment, dict):
-        raise ParameterError(
-            f'{origin}: environment: expected names and values, got {environment!r}'
-        )
+        if text.startswith('~'):
+            raise ParameterError(
+                f'{origin}: {key}: expected no ~, got {text!r}: without it, ssh begins at home'
+            )
     return Host(
         name,
         _texts(entry.get('nodes', []), f'{origin}: nodes'),
         command=command,
-        environment={str(key): str(value) for key, value in environment.items()},
+        environment=_variables(entry.get('environment', {}), f'{origin}: environment'),
         **texts,
     )
 
@@ -131,6 +139,17 @@ def _texts(content: Any, origin: str) -> tuple[str, ...]:
     return tuple(content)
 
 
+def _variables(content: Any, origin: str) -> dict[str, str]:
+    if not isinstance(content, dict):
+        raise ParameterError(f'{origin}: expected names and values, got {content!r}')
+    for name, value in content.items():
+        if type(value) not in (str, int):  # YAML has made true of `on`, a number of `1e3`
+            raise ParameterError(
+                f'{origin}: {name}: expected a text, got {value!r}: put it in quotes'
+            )
+    return {str(name): str(value) for name, value in content.items()}
+
+
 def environment_there(host: Host, here: Mapping[str, str]) -> dict[str, str]:
     """Return the variables of the nodes on a host: its own, and those that all must agree in.
 
@@ -138,29 +157,49 @@ def environment_there(host: Host, here: Mapping[str, str]) -> dict[str, str]:
         host: where.
         here: the variables of the launcher.
     """
-    return {name: here[name] for name in _FORWARDED if name in here} | dict(host.environment)
+    return agreed(here) | dict(host.environment)
 
 
-def check_discovery(hosts: Mapping[str, Host], here: Mapping[str, str]) -> None:
-    """Make sure that no side is told to keep to its own host.
+def agreed(here: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables of the launcher in which all nodes of a run must agree."""
+    every = {name: here.get(name, default) for name, default in _FORWARDED.items()}
+    return {name: value for name, value in every.items() if value}
+
+
+def check_hosts(hosts: Mapping[str, Host], here: Mapping[str, str]) -> None:
+    """Make sure that hosts can be reached, and that no side is told to keep to itself.
 
     Args:
         hosts: by kind of node.
         here: the variables of the launcher.
 
     Raises:
-        ParameterError: one is, and how to change it.
+        ParameterError: there is no such program here, or one side is told to, and how to change it.
     """
     sides = {'here': here, **{host.name: host.environment for host in hosts.values()}}
+    for host in hosts.values():
+        program = host.reaching()[0]
+        if shutil.which(program) is None:
+            raise ParameterError(f'{SECTION}: {host.name}: there is no program {program!r} here')
     for name, variables in sides.items() if hosts else ():
-        reach = variables.get(_RANGE, '')
-        if reach == 'OFF' or (reach in _TOO_NEAR and not _finds_others(sides)):
+        told = _keeps_to_itself(variables, any(each.get(_PEERS) for each in sides.values()))
+        if told:
             raise ParameterError(
-                f'{_RANGE}={reach} ({name}) keeps the nodes of the run from each other: '
-                f'unset it, or list the addresses of the other hosts in {_PEERS}'
+                f'{told} ({name}) keeps the nodes of the run from each other: unset it'
+                + (f', or list the addresses of the hosts in {_PEERS}' if _RANGE in told else '')
             )
 
 
-def _finds_others(sides: Mapping[str, Mapping[str, str]]) -> bool:
-    """Return whether anyone is told where the others are: one side's word is enough for both."""
-    return any(_PEERS in variables for variables in sides.values())
+def _keeps_to_itself(variables: Mapping[str, str], knows_peers: bool) -> str:
+    """Return which variable lets nodes find none on other hosts; empty where none does.
+
+    Args:
+        variables: of the nodes.
+        knows_peers: whether any side is told where the others are: one's word is enough for both.
+    """
+    if variables.get(_LOCAL) == '1':
+        return f'{_LOCAL}=1'
+    reach = variables.get(_RANGE, '')
+    if reach == 'OFF' or (reach == 'LOCALHOST' and not knows_peers):
+        return f'{_RANGE}={reach}'
+    return ''

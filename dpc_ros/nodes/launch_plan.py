@@ -81,6 +81,13 @@ class LaunchPlan:
         """Folder of the log, none without a recorder."""
         return Path(self.parameters[RECORDER]['bag']) if RECORDER in self.parameters else None
 
+    def where(self, bag: Path) -> str:
+        """Return where a bag of the run is: on another host as `<host>:<path>`."""
+        host = self.hosts.get(RECORDER)
+        if host is None:
+            return str(bag)
+        return f'{host.ssh or host.name}:{host.moved(str(bag), self.folder)}'
+
     def records(self, topic: str) -> bool:
         """Return whether a topic of the loop is in the log, and that on this host."""
         return (
@@ -105,6 +112,13 @@ class LaunchPlan:
     def ros_arguments(self, node: str = '') -> list[str]:
         """Return the arguments that hand parameters and remappings to the process of a node."""
         arguments = ['--ros-args', '--params-file', str(self.parameters_file)]
+        if node == RECORDER and node in self.hosts:  # by name, where their host can move them
+            arguments += [
+                '-p',
+                f'bag:={self.bag}',
+                '-p',
+                f'parameters_file:={self.parameters_file}',
+            ]
         for remapping in self.remappings.get(node, ()):
             arguments += ['-r', remapping]
         return [*arguments, '-r', f'__ns:={self.namespace}'] if self.namespace != '/' else arguments

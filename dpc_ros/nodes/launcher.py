@@ -20,7 +20,7 @@ from rclpy.executors import Executor
 from dpc_ros.bag import draw, table
 from dpc_ros.nodes.by_hand import commands_by_hand
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.hosts import check_discovery
+from dpc_ros.nodes.hosts import check_hosts
 from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
 from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
 from dpc_ros.nodes.monitor import Monitor
@@ -67,7 +67,7 @@ def _main(options: argparse.Namespace) -> int:
         )
         if plan.hosts and options.composed:
             raise ValueError('--composed: nodes that are one process are on one host')
-        check_discovery(plan.hosts, os.environ)
+        check_hosts(plan.hosts, os.environ)
         plan.write()
     except (ValueError, OSError) as error:
         return _complain(str(error), 2)
@@ -231,7 +231,7 @@ def report(plan: LaunchPlan, outcome: Outcome) -> int:
         print()
         print(f'figure      {figure}')
     for bag in outcome.bags:
-        print(f'log         {_where(plan, bag)}')
+        print(f'log         {plan.where(bag)}')
     print(f'parameters  {plan.parameters_file}')
     if outcome.restarts:
         print(f'restarts    {_list_restarts(outcome)}')
@@ -259,14 +259,6 @@ def _show_convergence(plan: LaunchPlan) -> Path:
             print(note)
     draw(convergence, figure)
     return figure
-
-
-def _where(plan: LaunchPlan, bag: Path) -> str:
-    """Return where a log is, on another host as `scp` has it."""
-    host = plan.hosts.get(RECORDER)
-    if host is None:
-        return str(bag)
-    return f'{host.ssh or host.name}:{host.folder}/{bag.relative_to(plan.folder.parent)}'
 
 
 def _list_restarts(outcome: Outcome) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,12 +20,13 @@ from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
 from dpc_ros.nodes.loop_node import CRASHED
 from dpc_ros.nodes.program import PARENT_VARIABLE, interrupts_wait
 from dpc_ros.nodes.provenance import COMMAND_VARIABLE
-from dpc_ros.nodes.remote_process import RemoteProcess
+from dpc_ros.nodes.remote_process import LINK_ENDED, RemoteProcess
 from dpc_ros.results import command_line
 
 STOP_TIMEOUT = 15.0  # s for a node to end by itself after SIGINT
 _RECORDER_TIMEOUT = 60.0  # s; it may have to take what waits for it, and to write that
 _POLL = 0.02  # s
+_IDENTITY = re.compile(r'process \S+/\d+$')  # with which a node on another host begins
 _ASKED_TO_STOP = (0, -signal.SIGINT, -signal.SIGTERM, -signal.SIGHUP)  # exit codes
 
 
@@ -66,9 +68,15 @@ class NodeProcesses:
         """
         self.restarts[node] += 1
         if node == RECORDER:
-            self.bags.append(further_folder(self.bags[0]))
+            self.bags.append(self._further_bag())
             arguments = ('-p', f'bag:={self.bags[-1]}')
         self._start(node, arguments)
+
+    def _further_bag(self) -> Path:
+        first = self.bags[0]
+        if RECORDER in self._plan.hosts:  # where it can't be seen from here what there is
+            return first.with_name(f'{first.name}_{len(self.bags)}')
+        return further_folder(first)
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of the nodes that have ended."""
@@ -137,15 +145,18 @@ class NodeProcesses:
             return f'{node} was ended by {signal.Signals(-code).name}'
         log = self._log(node)
         said = log.read_bytes()[self._log_begins[node] :].decode(errors='replace')
-        return f'{node} ended with exit code {code}: {said_reason(code, said)} (see {log})'
+        reason = f'{said_reason(code, said)} (see {log})'
+        if code == LINK_ENDED and node in self._plan.hosts:
+            return f'{node}: the link to {self._plan.hosts[node].name} ended: {reason}'
+        return f'{node} ended with exit code {code}: {reason}'
 
     def _log(self, node: str) -> Path:
         return self._plan.folder / 'log' / f'{node}.log'
 
-    def _start(self, node: str, arguments: Iterable[str] = ()) -> None:
-        arguments = [*self._plan.ros_arguments(node), *arguments]
+    def _start(self, node: str, restarted: Iterable[str] = ()) -> None:
         environment = {COMMAND_VARIABLE: command_line(), 'PYTHONUNBUFFERED': '1'}
         host = self._plan.hosts.get(node)
+        arguments = [*self._plan.ros_arguments(node), *restarted]
         with self._log(node).open('ab') as log, interrupts_wait():
             self._log_begins[node] = log.tell()
             if host is not None:
@@ -168,6 +179,6 @@ def said_reason(code: int, said: str) -> str:
     """Return why a program ended with an exit code that is not zero, from what it printed."""
     if code < 0:
         return f'ended by {signal.Signals(-code).name}'
-    lines = [line for line in said.splitlines() if line.strip()]
+    lines = [line for line in said.splitlines() if line.strip() and not _IDENTITY.match(line)]
     errors = [line for line in lines if line.startswith('error:')] or lines[-1:]
     return errors[-1].removeprefix('error: ') if errors else 'it printed nothing'

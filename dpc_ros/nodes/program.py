@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 
+SIGNALLED = 128  # and the number of the signal: the exit code of who was ended by one, in shells
 PARENT_VARIABLE = 'DPC_ROS_LAUNCHER_PID'  # of who started a node, and with whom it ends
 _INTERRUPTED = 130  # exit code after Ctrl-C, as shells have it
 

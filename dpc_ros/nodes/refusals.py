@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dpc_ros.nodes.health import PROCESS_READING, REJECTED_READING
+from dpc_ros.nodes.health import HOST_READING, PROCESS_READING, REJECTED_READING, identity
 from dpc_ros.nodes.reports import Report
 
 _LONGEST = 300  # characters
@@ -25,7 +25,7 @@ class Refusals:
 
     def newest(self, report: Report) -> str:
         """Return the first reason that is new in the next report, empty where none is."""
-        process = report.values[PROCESS_READING]
+        process = identity(report.values[PROCESS_READING], report.values[HOST_READING])
         counts = {
             key: (process, count)
             for key, count in report.values.items()

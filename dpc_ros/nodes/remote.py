@@ -1,12 +1,14 @@
 """Runs a node of a launcher that is on another host: `python -m dpc_ros.nodes.remote`.
 
-Its input begins with a line of JSON that says what to run (see `RemoteProcess`); `stop`, `kill`, or
-a line now and then that only says that the launcher is still there. Without one for a while, and at
-the end of the input, the node is asked to stop: where nobody can stop it, it does not go on.
+Its input begins with a line of JSON that says what to run (see `RemoteProcess`); then `stop`,
+`kill`, or a line now and then that only says that the launcher is still there. Without one for a
+while, and at the end of the input, the node is asked to stop: where nobody can stop it, it does not
+go on.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -15,16 +17,16 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from dpc_ros.nodes.program import PARENT_VARIABLE, interrupts_wait
+from dpc_ros.nodes.program import PARENT_VARIABLE, SIGNALLED, interrupts_wait
 
 _LONGEST_SILENCE = 20.0  # s; a link may be down for some of them
 _LONGEST_END = 60.0  # s for a node to end once nobody is there who would kill it
 _POLL = 0.05  # s
 _BLOCK = 2**16  # bytes
-_SIGNALLED = 128  # and the number of the signal: the exit code of who was ended by one, in shells
+_PARAMETERS = 'parameters.yaml'  # by which a run is known
 
 
 class _Launcher:
@@ -38,18 +40,15 @@ class _Launcher:
         self.wants_kill = False
 
     def order(self) -> bytes:
-        """Return its first line."""
-        while b'\n' not in self._rest and not self._is_over:
-            self._hear()
+        """Return its first line; an empty one if none comes."""
+        while b'\n' not in self._rest and not (self.is_gone or self.wants_stop):
+            self._hear(_POLL)
         line, _, self._rest = self._rest.partition(b'\n')
         return line
 
     def listen(self, seconds: float) -> None:
         """Take what it says for a while."""
-        if self._is_over:
-            time.sleep(seconds)
-        elif select.select([sys.stdin], [], [], seconds)[0]:
-            self._hear()
+        self._hear(seconds)
         *lines, self._rest = self._rest.split(b'\n')
         self.wants_stop |= b'stop' in lines
         self.wants_kill |= b'kill' in lines
@@ -63,11 +62,14 @@ class _Launcher:
         """Whether nothing is heard of it any more."""
         return self._is_over or time.monotonic() - self._heard_at > _LONGEST_SILENCE
 
-    def _hear(self) -> None:
-        data = os.read(sys.stdin.fileno(), _BLOCK)
-        self._heard_at = time.monotonic()
-        self._rest += data
-        self._is_over = not data
+    def _hear(self, seconds: float) -> None:
+        if self._is_over:
+            time.sleep(seconds)
+        elif select.select([sys.stdin], [], [], seconds)[0]:
+            data = os.read(sys.stdin.fileno(), _BLOCK)
+            self._heard_at = time.monotonic()
+            self._rest += data
+            self._is_over = not data
 
 
 def main() -> int:
@@ -75,49 +77,70 @@ def main() -> int:
     launcher = _Launcher()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, launcher.stop)
+    line = launcher.order()
     try:
-        node = _start(json.loads(launcher.order()))
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        print(f'error: expected an order of a launcher: {error!r}', file=sys.stderr)
-        return 2
-    print(f'process {socket.gethostname()}/{node.pid}', flush=True)
-    code = _attend(node, launcher)
-    return code if code >= 0 else _SIGNALLED - code
-
-
-def _start(order: dict[str, Any]) -> subprocess.Popen[bytes]:
-    """Lay down the files of the run, and start the node."""
-    folder = Path(order['there']).absolute()
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in order['files'].items():
-        (folder / Path(name).name).write_text(text.replace(order['here'], str(folder)))
+        order = json.loads(line)
+        kind, arguments, environment = order['kind'], order['arguments'], order['environment']
+        folder, files = Path(order['folder']).absolute(), order['files']
+    except (ValueError, KeyError, TypeError) as error:
+        got = f'got {error!r}' if line else 'got none: does its command pass standard input on?'
+        return _complain(f'expected an order of a launcher, {got}', 2)
+    try:
+        _lay_down(files, folder)
+    except OSError as error:
+        return _complain(f'on {socket.gethostname()}: {error}', 1)
     with interrupts_wait():
-        return subprocess.Popen(
-            [
-                *(sys.executable, '-m', f'dpc_ros.nodes.{order["kind"]}_node'),
-                *(argument.replace(order['here'], str(folder)) for argument in order['arguments']),
-            ],
+        node = subprocess.Popen(
+            [sys.executable, '-m', f'dpc_ros.nodes.{kind}_node', *arguments],
             stdin=subprocess.DEVNULL,
-            env={**os.environ, **order['environment'], PARENT_VARIABLE: str(os.getpid())},
+            env={**os.environ, **environment, PARENT_VARIABLE: str(os.getpid())},
             start_new_session=True,
         )
+    print(f'process {socket.gethostname()}/{node.pid}', flush=True)
+    return _attend(node, launcher)
+
+
+def _lay_down(files: Mapping[str, str], folder: Path) -> None:
+    """Write the files of a run, each at once: other nodes of the run may be reading.
+
+    Raises:
+        OSError: they can't be written, or those of another run are there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        path = folder / Path(name).name
+        if path.exists() and path.read_text() == text:
+            continue
+        if path.exists() and name == _PARAMETERS:
+            raise FileExistsError(f'{folder} is of another run: choose another --output')
+        draft = path.with_name(f'{path.name}.{os.getpid()}')
+        draft.write_text(text)
+        draft.replace(path)
 
 
 def _attend(node: subprocess.Popen[bytes], launcher: _Launcher) -> int:
-    """Do what the launcher wants until the node has ended."""
+    """Do what the launcher wants until the node has ended; return the exit code, as shells do."""
     ends_by = float('inf')  # s, once it was asked to and nobody is there who would kill it
-    asked = False
+    is_asked = is_left = False
     while node.poll() is None:
         if launcher.wants_kill or time.monotonic() > ends_by:
             node.kill()
-            return node.wait()
-        if not asked and (launcher.wants_stop or launcher.is_gone):
-            asked = True
+            node.wait()
+        elif not is_asked and (launcher.wants_stop or launcher.is_gone):
+            is_asked, is_left = True, not launcher.wants_stop
             node.send_signal(signal.SIGINT)
-        if asked and launcher.is_gone:
+        elif is_asked and launcher.is_gone:
             ends_by = min(ends_by, time.monotonic() + _LONGEST_END)
         launcher.listen(_POLL)
-    return node.returncode
+    if is_left:
+        return _complain(f'nothing was heard of the launcher for {_LONGEST_SILENCE:g} s', 1)
+    return node.returncode if node.returncode >= 0 else SIGNALLED - node.returncode
+
+
+def _complain(text: str, code: int) -> int:
+    with contextlib.suppress(BrokenPipeError):  # nobody may be there
+        print(f'error: {text}', file=sys.stderr, flush=True)
+    return code
 
 
 if __name__ == '__main__':

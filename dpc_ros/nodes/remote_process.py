@@ -14,10 +14,12 @@ from io import BufferedWriter
 from pathlib import Path
 
 from dpc_ros.nodes.hosts import Host
+from dpc_ros.nodes.program import SIGNALLED
 
+LINK_ENDED = 255  # the exit code of ssh; ours, too, for a link that ended before its node
 _ALIVE_PERIOD = 1.0  # s between two words to a node's host
 _KILL_TIMEOUT = 5.0  # s, in which what is to be killed there is gone, or the link is cut
-_SIGNALLED = 128  # and the number of the signal: the exit code of who was ended by one, in shells
+_PIPE = 2**20  # bytes: an order fits in, and does not wait for who is to read it
 
 
 class RemoteProcess:
@@ -33,6 +35,9 @@ class RemoteProcess:
         arguments: of ROS.
         environment: variables of the node.
         log: takes what it prints; it is at its end.
+
+    Attributes:
+        host: where.
     """
 
     def __init__(
@@ -44,6 +49,7 @@ class RemoteProcess:
         environment: Mapping[str, str],
         log: BufferedWriter,
     ) -> None:
+        self.host = host
         self._log, self._log_begin = Path(log.name), log.tell()
         self._identity = ''
         self._process = subprocess.Popen(
@@ -52,14 +58,14 @@ class RemoteProcess:
             stdout=log,
             stderr=subprocess.STDOUT,
             start_new_session=True,
+            pipesize=_PIPE,
         )
         named = ' '.join(arguments)
         order = {
             'kind': kind,
-            'arguments': [*arguments],
+            'arguments': [host.moved(argument, folder) for argument in arguments],
             'environment': {**environment},
-            'here': str(folder),
-            'there': f'{host.folder}/{folder.name}',
+            'folder': host.run_folder(folder),
             'files': {
                 path.name: path.read_text()
                 for path in folder.iterdir()
@@ -67,9 +73,9 @@ class RemoteProcess:
             },
         }
         self._said_at = time.monotonic()
-        self._say(json.dumps(order))
         assert self._process.stdin is not None
         os.set_blocking(self._process.stdin.fileno(), False)
+        self._say(json.dumps(order))
 
     def poll(self) -> int | None:
         """Return the exit code once it has ended; let its host know that this one is there."""
@@ -111,6 +117,8 @@ class RemoteProcess:
 
     @staticmethod
     def _code(code: int | None) -> int | None:
-        if code is not None and code - _SIGNALLED in {*signal.Signals}:
-            return _SIGNALLED - code
+        if code is not None and code < 0:
+            return LINK_ENDED  # by a signal here, which says nothing of the node
+        if code is not None and code - SIGNALLED in {*signal.Signals}:
+            return SIGNALLED - code
         return code

@@ -104,7 +104,11 @@ class Supervision:
         consequence = ''
         if node == RECORDER:
             *_, before, after = self._processes.bags
-            consequence = f'; what follows is recorded in {after}, `dpc bag repair` mends {before}'
+            where = self._plan.where
+            consequence = (
+                f'; what follows is recorded in {where(after)}, '
+                f'`dpc bag repair` mends {where(before)}'
+            )
         elif node == self._plan.leader:
             consequence = '; the body begins again at rest, and its duration counts anew'
         self._monitor.say(f'{why}: started anew ({done + 1} of {self._plan.restarts}){consequence}')
@@ -118,7 +122,8 @@ class Supervision:
 
     def _process(self, name: str) -> str:
         """Return the process that a node is; of no other, whatever its name."""
-        return self._processes.identity(name) if name in self._plan.nodes else ''
+        found = self._processes.identity(name) if name in self._plan.nodes else ''
+        return f'{name} {found}' if found else ''
 
     def _target(self) -> Iterable[str]:
         """Return the arguments by which a controller begins with the target that was in force."""
@@ -140,6 +145,7 @@ class Supervision:
         for status in message.status:
             values = {reading.key: reading.value for reading in status.values}
             process = identity(values.get(PROCESS_READING, ''), values.get(HOST_READING, ''))
+            process = f'{status.name} {process}'
             if process == self._process(status.name):
                 self._silent_for[process] = 0.0
                 self._announce(status.name, values.get(ADDRESS_READING, ''))
@@ -148,4 +154,5 @@ class Supervision:
         """Say once where the page of a node is, if it has one."""
         if address and self._addresses.get(node) != address:
             self._addresses[node] = address
-            self._monitor.say(f'{node:<10}  {address}')
+            host = self._plan.hosts.get(node)
+            self._monitor.say(f'{node:<10}  {address}' + (f' on {host.name}' if host else ''))

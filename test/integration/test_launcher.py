@@ -439,7 +439,6 @@ def test_nodes_on_other_hosts_are_looked_after_as_those_here(
     run = Launched(domain, observer, tmp_path / 'run', *options)
     run.begin('controller', 'recorder')
     run.wait(lambda: len(run.stamps) > 2, 'the first steps')
-    assert f'DPC_ROS_LAUNCHER_PID={run.launcher.pid}' not in environment_of(run, 'controller')
     assert 'OMP_NUM_THREADS=2' in environment_of(run, 'recorder')
     run.signal('controller', signal.SIGKILL)
     code, output = run.end()
@@ -447,6 +446,39 @@ def test_nodes_on_other_hosts_are_looked_after_as_those_here(
     assert_repeats(there / 'run' / 'bag', steps=200, killed=('force',))
     assert 'controller was ended by SIGKILL: started anew (1 of 3)' in output
     assert f'log         disk:{there}/run/bag\n' in output
+
+
+@pytest.mark.faults(
+    fault='on another host, the recorder crashes twice and the encoder hangs',
+    promise='started anew as here; further logs hold what follows',
+    mode='lockstep',
+    most=5,
+)
+@pytest.mark.long
+def test_nodes_on_other_hosts_crash_and_hang_again_and_again(domain, observer, tmp_path):
+    there = tmp_path / 'there'
+    config = tmp_path / 'hosts.yaml'
+    hosts = ELSEWHERE.format(python=sys.executable, folder=there).replace(
+        '[controller]', '[encoder]'
+    )
+    config.write_text(config_path('demo.yaml').read_text() + hosts)
+    options = ('--config', str(config), '--duration', '0', '--silence', '3', '--restarts', '5')
+    run = Launched(domain, observer, tmp_path / 'run', *options)
+    run.begin('encoder', 'recorder')
+    for _ in range(2):
+        killed = run.signal('recorder', signal.SIGKILL)
+        run.wait_for_another('recorder', killed)
+    stopped = run.signal('encoder', signal.SIGSTOP)
+    run.wait_for_another('encoder', stopped)
+    advance(observer, run.stamps)
+    run.launcher.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    assert f'what follows is recorded in disk:{there}/run/bag_2' in output
+    assert 'encoder was killed: it has not reported' in output
+    assert len(read_run(there / 'run' / 'bag_2').configuration) > 20
+    for bag in ('bag', 'bag_1'):
+        repair(there / 'run' / bag, tmp_path / bag)
 
 
 def environment_of(run, name):

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from dpc_ros.nodes.by_hand import commands_by_hand
-from dpc_ros.nodes.hosts import check_discovery, environment_there, read_hosts
+from dpc_ros.nodes.hosts import check_hosts, environment_there, read_hosts
 from dpc_ros.nodes.launch_plan import LOOP, make_plan
 from dpc_ros.parameters import ParameterError
 from dpc_ros.resources import config_path
@@ -63,6 +63,8 @@ def test_a_command_comes_as_it_is_by_ssh_and_by_a_command():
         ('-oProxyCommand=x: {nodes: [encoder]}', 'ssh: expected a text'),
         ('a: {nodes: [encoder], python: 3}', 'python: expected a text'),
         ('a: {nodes: [encoder], environment: [B]}', 'expected names and values'),
+        ('a: {nodes: [encoder], environment: {B: on}}', 'B: expected a text, got True: put it in'),
+        ('a: {nodes: [encoder], python: ~/python}', 'python: expected no ~'),
     ],
 )
 def test_what_is_no_host_is_refused_with_the_reason(text, reason):
@@ -71,13 +73,15 @@ def test_what_is_no_host_is_refused_with_the_reason(text, reason):
 
 
 def test_nodes_agree_in_what_all_must_have_alike():
-    here = {'ROS_DOMAIN_ID': '7', 'HOME': '/root'}
     host = read(HOSTS)['encoder']
+    here = {'ROS_DOMAIN_ID': '7', 'HOME': '/root'}
     assert environment_there(host, here) == {'ROS_DOMAIN_ID': '7', 'NUMBER': '3'}
+    # What is not set here may be there, in a profile of a shell.
+    assert environment_there(host, {}) == {'ROS_DOMAIN_ID': '0', 'NUMBER': '3'}
 
 
 def with_environment(text):
-    return read(f'a: {{nodes: [encoder], environment: {{{text}}}}}')
+    return read(f'a: {{nodes: [encoder], command: [env], environment: {{{text}}}}}')
 
 
 @pytest.mark.parametrize(
@@ -90,7 +94,7 @@ def with_environment(text):
     ],
 )
 def test_hosts_that_can_find_each_other_are_let_pass(here, there):
-    check_discovery(with_environment(there), here)
+    check_hosts(with_environment(there), here)
 
 
 @pytest.mark.parametrize(
@@ -98,13 +102,20 @@ def test_hosts_that_can_find_each_other_are_let_pass(here, there):
     [
         ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}, ''),
         ({}, 'ROS_AUTOMATIC_DISCOVERY_RANGE: LOCALHOST'),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_STATIC_PEERS': ''}, ''),
         ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF', 'ROS_STATIC_PEERS': '10.0.0.2'}, ''),
+        ({'ROS_LOCALHOST_ONLY': '1', 'ROS_STATIC_PEERS': '10.0.0.2'}, ''),
     ],
 )
 def test_hosts_that_keep_to_themselves_are_refused(here, there):
     with pytest.raises(ParameterError, match='keeps the nodes of the run from each other'):
-        check_discovery(with_environment(there), here)
-    check_discovery({}, here)  # without other hosts there is nobody to find
+        check_hosts(with_environment(there), here)
+    check_hosts({}, here)  # without other hosts there is nobody to find
+
+
+def test_a_program_that_is_not_here_reaches_no_host():
+    with pytest.raises(ParameterError, match="hosts: a: there is no program 'dokcer' here"):
+        check_hosts(read('a: {nodes: [encoder], command: [dokcer, exec]}'), {})
 
 
 def test_the_shipped_example_is_sound(tmp_path):
@@ -129,7 +140,8 @@ def test_what_is_typed_by_hand_takes_the_parameters_along(plan):
     text = commands_by_hand(plan)
     blocks = {block.splitlines()[0]: block.splitlines()[1:] for block in text.split('\n\n')}
     (here,) = (shlex.split(line) for line in blocks['# here'])
-    assert here[:3] == [sys.executable, '-m', 'dpc_ros.nodes.recorder_node']
+    module = here.index('dpc_ros.nodes.recorder_node')
+    assert here[module - 2 : module] == [sys.executable, '-m']
     assert here[here.index('--params-file') + 1] == str(plan.parameters_file)
     take, *starts = (shlex.split(line) for line in blocks['# brain'])
     assert take[-2:] == ['<', str(plan.parameters_file)]
@@ -182,19 +194,19 @@ def run_remote(tmp_path, order, *words, ends=True):
     return process.returncode, output
 
 
+PARAMETERS = '/**: {ros__parameters: {bag: there/run/bag, topics: [/none]}}'
+
+
 @pytest.fixture
-def order(tmp_path):
+def order():
     """An order of a recorder, which waits for messages that do not come."""
     return json.dumps(
         {
             'kind': 'recorder',
-            'arguments': ['--ros-args', '--params-file', '/here/run/parameters.yaml'],
+            'arguments': ['--ros-args', '--params-file', 'there/run/parameters.yaml'],
             'environment': {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
-            'here': '/here/run',
-            'there': 'there/run',
-            'files': {
-                'parameters.yaml': '/**: {ros__parameters: {bag: /here/run/bag, topics: [/none]}}'
-            },
+            'folder': 'there/run',
+            'files': {'parameters.yaml': PARAMETERS},
         }
     )
 
@@ -204,8 +216,8 @@ def order(tmp_path):
     [
         pytest.param(['', 'stop'], False, 0, id='stop'),
         pytest.param(['kill'], False, 128 + signal.SIGKILL, id='kill'),
-        pytest.param([''], True, 0, id='gone'),
-        pytest.param([''], False, 0, id='silent', marks=pytest.mark.long),
+        pytest.param([''], True, 1, id='gone'),
+        pytest.param([''], False, 1, id='silent', marks=pytest.mark.long),
     ],
 )
 def test_a_node_ends_when_its_launcher_says_so_or_nothing_more(tmp_path, order, words, ends, code):
@@ -214,10 +226,28 @@ def test_a_node_ends_when_its_launcher_says_so_or_nothing_more(tmp_path, order, 
     assert (tmp_path / 'there' / 'run' / 'bag').is_dir()
     (line,) = (line for line in output.splitlines() if line.startswith('process '))
     assert line.startswith(f'process {os.uname().nodename}/')
+    assert ('nothing was heard of the launcher' in output) == (words == [''])
 
 
 def test_what_is_no_order_is_an_error(tmp_path):
     for order in ('', 'run!', '[]', '{}'):
         code, output = run_remote(tmp_path, order)
         assert code == 2
-        assert output.startswith('error: expected an order of a launcher')
+        assert output.startswith('error: expected an order of a launcher, got ')
+
+
+def test_the_files_of_another_run_are_left_alone(tmp_path, order):
+    parameters = tmp_path / 'there' / 'run' / 'parameters.yaml'
+    parameters.parent.mkdir(parents=True)
+    parameters.write_text('those of another run')
+    code, output = run_remote(tmp_path, order)
+    assert code == 1
+    assert 'run is of another run: choose another --output' in output
+    assert parameters.read_text() == 'those of another run'
+
+
+def test_the_package_is_found_beside_a_folder_of_its_name(tmp_path):
+    """A clone in a home, where ssh begins, is one."""
+    (tmp_path / 'dpc_ros').mkdir()
+    command = [sys.executable, '-c', 'import dpc_ros; print(dpc_ros.__version__)']
+    subprocess.run(command, cwd=tmp_path, check=True)

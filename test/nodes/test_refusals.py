@@ -13,7 +13,9 @@ def newest():
 
     def newest(process='1', **counts):
         values = {f'rejected: {reason}': str(count) for reason, count in counts.items()}
-        return refusals.newest(Report('/controller', 0.0, {'process id': process, **values}))
+        return refusals.newest(
+            Report('/controller', 0.0, {'process id': process, 'host': 'lab', **values})
+        )
 
     return newest
 
