@@ -19,7 +19,14 @@ from dpc_ros.results import quantity
 
 Rows = list[dict[str, Any]]
 # Beside the results.
-PAGES = ('experiments.md', 'control.md', 'reliability.md', 'performance.md', '../README.md')
+PAGES = (
+    'experiments.md',
+    'control.md',
+    'reliability.md',
+    'hosts.md',
+    'performance.md',
+    '../README.md',
+)
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
