@@ -419,6 +419,9 @@ def _benchmarks(rows: Rows) -> str:
     body = []
     for row in rows:
         ours, theirs = (quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
+        if 'ours_p99_s' in row:
+            ours += f' (p99 {quantity(row["ours_p99_s"], "s")})'
+            theirs += f' (p99 {quantity(row["peer_p99_s"], "s")})'
         goal = '' if row['goal'] is None else _short(row['goal'])
         name = row['benchmark'].replace('_', ' ')
         body.append([name, ours, row['peer'], theirs, _short(row['ratio']), goal])

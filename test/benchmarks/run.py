@@ -29,6 +29,7 @@ BENCHMARKS = (
     'compressed',
     'latent_dynamics',
     'graph_training',
+    'training_epoch',
     'closed_loop',
     'companions',
     'pictures',
