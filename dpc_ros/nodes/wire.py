@@ -86,10 +86,10 @@ class Pattern:
         if len(data) != len(self._message):
             return None
         seconds, rest = _STAMP.unpack_from(data, len(_ENCODING))
-        stamp = seconds * NANOSECONDS + rest
         numbers = self._numbers_of(data).copy()  # in the data they are not aligned
-        if stamp < 0 or not np.isfinite(numbers).all():
+        if seconds < 0 or rest >= NANOSECONDS or not np.isfinite(numbers).all():
             return None
+        stamp = seconds * NANOSECONDS + rest
         arrays = [numbers[place] for place in self._arrays]
         self._fill(stamp, arrays)
         return (stamp, *arrays) if self._message == data else None

@@ -1,5 +1,7 @@
 """The bytes of the loop's messages are what rclpy reads, and are read as rclpy reads them."""
 
+import struct
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
@@ -149,6 +151,19 @@ def test_the_reason_is_said_before_and_after_a_good_one(data, reason):
         with pytest.raises(MessageError, match=reason):
             reader.read(data)
         assert reader.read(changed()).stamp == 7
+
+
+@pytest.mark.parametrize('stamp', [(2**31 - 1, 10**9), (0, 2**32 - 1), (-1, 0)])
+def test_a_stamp_that_is_none_is_refused_before_and_after_a_good_one(stamp):
+    states, forces = state_pattern(FRAME, 3), force_pattern(force_frame(162))
+    state = states.write(7, np.ones(3), np.zeros(3))
+    force = forces.write(7, np.ones(2))
+    for reader, good in ((StateReader(FRAME, NAMES), state), (ForceReader(), force)):
+        bad = good[:4] + struct.pack('<iI', *stamp) + good[12:]
+        for _ in range(2):
+            with pytest.raises(MessageError, match='expected a stamp from 0 on'):
+                reader.read(bad)
+            assert reader.read(good).stamp == 7
 
 
 def test_what_aligns_the_content_is_of_no_account():
