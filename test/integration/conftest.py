@@ -235,6 +235,26 @@ def observer(domain, monkeypatch):
     context.try_shutdown()
 
 
+@pytest.fixture
+def run_here(observer):
+    """Return a function: a lifecycle node of ours → it runs in the process of the test.
+
+    Nothing may keep it afterwards: it is gone only when Python has freed it.
+    """
+    nodes = []
+
+    def run(node):
+        nodes.append(node)
+        observer.executor.add_node(node)
+        return node
+
+    yield run
+    while nodes:
+        observer.executor.remove_node(nodes[-1])
+        nodes.pop().close()
+    observer.executor.spin_once(timeout_sec=0.0)  # it forgets what it ran last, and whose that was
+
+
 @dataclass
 class Observer:
     """Spins until something has happened."""

@@ -413,7 +413,7 @@ def test_a_companion_that_crashes_is_no_matter_to_the_run(
 ELSEWHERE = """
 hosts:
   brain:
-    nodes: [controller]
+    nodes: [{node}]
     command: [env]
     python: {python}
     folder: {folder}
@@ -427,15 +427,29 @@ hosts:
 """
 
 
+@pytest.fixture
+def there(tmp_path):
+    """The folder for runs on other hosts: what is reached by a command need not be far away."""
+    return tmp_path / 'there'
+
+
+@pytest.fixture
+def elsewhere(tmp_path, there):
+    """Return a function: a node, with the recorder elsewhere → options of the demonstration."""
+
+    def options(node='controller'):
+        config = tmp_path / 'hosts.yaml'
+        hosts = ELSEWHERE.format(node=node, python=sys.executable, folder=there)
+        config.write_text(config_path('demo.yaml').read_text() + hosts)
+        return '--config', str(config)
+
+    return options
+
+
 def test_nodes_on_other_hosts_are_looked_after_as_those_here(
-    domain, observer, tmp_path, assert_repeats
+    domain, observer, tmp_path, there, elsewhere, assert_repeats
 ):
-    """What is reached by a command need not be far away."""
-    there = tmp_path / 'there'
-    config = tmp_path / 'hosts.yaml'
-    demo = config_path('demo.yaml').read_text()
-    config.write_text(demo + ELSEWHERE.format(python=sys.executable, folder=there))
-    options = ('--config', str(config), '--duration', '1', '--set=simulator.resend_interval=0.05')
+    options = (*elsewhere(), '--duration', '1', '--set=simulator.resend_interval=0.05')
     run = Launched(domain, observer, tmp_path / 'run', *options)
     run.begin('controller', 'recorder')
     run.wait(lambda: len(run.stamps) > 2, 'the first steps')
@@ -455,14 +469,10 @@ def test_nodes_on_other_hosts_are_looked_after_as_those_here(
     most=5,
 )
 @pytest.mark.long
-def test_nodes_on_other_hosts_crash_and_hang_again_and_again(domain, observer, tmp_path):
-    there = tmp_path / 'there'
-    config = tmp_path / 'hosts.yaml'
-    hosts = ELSEWHERE.format(python=sys.executable, folder=there).replace(
-        '[controller]', '[encoder]'
-    )
-    config.write_text(config_path('demo.yaml').read_text() + hosts)
-    options = ('--config', str(config), '--duration', '0', '--silence', '3', '--restarts', '5')
+def test_nodes_on_other_hosts_crash_and_hang_again_and_again(
+    domain, observer, tmp_path, there, elsewhere
+):
+    options = (*elsewhere('encoder'), '--duration', '0', '--silence', '3', '--restarts', '5')
     run = Launched(domain, observer, tmp_path / 'run', *options)
     run.begin('encoder', 'recorder')
     for _ in range(2):
@@ -493,17 +503,13 @@ def environment_of(run, name):
     most=5,
 )
 @pytest.mark.long
-def test_nodes_end_with_a_launcher_that_was_killed(domain, observer, tmp_path):
-    config = tmp_path / 'hosts.yaml'
-    demo = config_path('demo.yaml').read_text()
-    config.write_text(demo + ELSEWHERE.format(python=sys.executable, folder=tmp_path / 'there'))
-    options = ('--config', str(config), '--duration', '0')
-    run = Launched(domain, observer, tmp_path / 'run', *options)
+def test_nodes_end_with_a_launcher_that_was_killed(domain, observer, tmp_path, there, elsewhere):
+    run = Launched(domain, observer, tmp_path / 'run', *elsewhere(), '--duration', '0')
     run.begin(*NODES)
     run.wait(lambda: len(run.stamps) > 2, 'the first steps')
     domain.kill(run.launcher)
     observer.wait(lambda: observer.node.get_node_names() == ['observer'], 'the nodes to have gone')
-    assert read_run(tmp_path / 'there' / 'run' / 'bag').configuration.size
+    assert read_run(there / 'run' / 'bag').configuration.size
 
 
 @pytest.mark.faults(

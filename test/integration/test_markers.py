@@ -33,25 +33,15 @@ def latent_state(stamp, latent):
 
 
 @pytest.fixture
-def start_markers(domain, observer):
-    """Return a function that starts the node in the process of the test.
-
-    Nothing may keep it afterwards: a lifecycle node is gone only when Python has freed it.
-    """
-    nodes = []
+def start_markers(observer, run_here):
+    """Return a function that starts the node in the process of the test."""
 
     def start():
-        node = MarkersNode(observer.node.context)
-        nodes.append(node)
-        observer.executor.add_node(node)
+        node = run_here(MarkersNode(observer.node.context))
         assert node.start(), node.failure
         return node
 
-    yield start
-    while nodes:
-        observer.executor.remove_node(nodes[-1])
-        nodes.pop().close()
-    observer.executor.spin_once(timeout_sec=0.0)  # it forgets what it ran last, and whose that was
+    return start
 
 
 class Picture:

@@ -40,25 +40,15 @@ class Page(LivePage):
 
 
 @pytest.fixture
-def make_viewer(observer, tmp_path):
-    """Return a function that makes the node in the process of the test, not configured yet.
-
-    Nothing may keep it afterwards: a lifecycle node is gone only when Python has freed it.
-    """
-    nodes = []
+def make_viewer(observer, run_here, tmp_path):
+    """Return a function that makes the node in the process of the test, not configured yet."""
 
     def make(**settings):
-        node = ViewerNode(observer.node.context)
+        node = run_here(ViewerNode(observer.node.context))
         node.settings = {**node.settings, 'port': 0, 'recordings': str(tmp_path), **settings}
-        nodes.append(node)
-        observer.executor.add_node(node)
         return node
 
-    yield make
-    while nodes:
-        observer.executor.remove_node(nodes[-1])
-        nodes.pop().close()
-    observer.executor.spin_once(timeout_sec=0.0)  # it forgets what it ran last, and whose that was
+    return make
 
 
 @pytest.fixture
