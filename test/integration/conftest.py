@@ -210,6 +210,7 @@ def domain():
             gc.collect()  # a node and its callbacks refer to each other
         for process in domain.processes:
             if process.poll() is None:
+                domain.will_leave_behind(process.pid)  # where it can't end by itself yet
                 process.terminate()
         for process in domain.processes:
             with contextlib.suppress(subprocess.TimeoutExpired):

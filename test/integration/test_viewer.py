@@ -24,6 +24,7 @@ TARGET = load_target('simulation:4@100', NETWORK)  # of config/live.yaml
 MASS, HELD_MASS = 162, 90  # the actuated one, and one in the middle
 SIZE = {'width': 1200, 'height': 600}  # pixels
 STEP = 5_000_000  # ns
+RECORDED = 300_000  # bytes, more than all but states ever make
 
 
 class Topics:
@@ -33,7 +34,7 @@ class Topics:
         self.observer = observer
         self.messages = {'configuration': [], 'target_in_force': [], 'external_force': []}
         self.number = 0  # that the simulator has given to its newest state
-        self.report = {}  # of the simulator
+        self.reports = {}  # of the nodes
         takes = {name: kept.append for name, kept in self.messages.items()}
         takes['configuration'] = self._take_state
         self.subscriptions = [
@@ -52,8 +53,7 @@ class Topics:
 
     def _hear(self, message):
         for status in message.status:
-            if status.name == 'simulator':
-                self.report = {each.key: each.value for each in status.values}
+            self.reports[status.name] = {each.key: each.value for each in status.values}
 
     @property
     def states(self) -> list[JointState]:
@@ -68,18 +68,17 @@ class Topics:
 
     def catch_up(self):
         """Take all states that a paused simulator has published, by its next report."""
-        self.report = {}
+        self.reports.clear()
 
         def has_all():
-            report = self.report
+            report = self.reports.get('simulator', {})
             return report.get('paused') == 'true' and int(report['published']) == self.number
 
         self.wait(has_all, 'all states')
 
-    def wait_for_states(self, count):
-        """Wait until so many more states have come."""
-        wanted = len(self.states) + count
-        self.wait(lambda: len(self.states) >= wanted, 'states')
+    def has_recorded(self):
+        """Return whether the viewer's log holds more than a few messages."""
+        return int(self.reports.get('viewer_recorder', {}).get('recorded [bytes]', 0)) > RECORDED
 
 
 @pytest.fixture
@@ -157,7 +156,7 @@ def test_people_steer_the_body(live, open_page, set_field, drag, tmp_path):
     recordings = tmp_path / 'recordings'
     live.wait(lambda: [*recordings.glob('*/*.mcap')], 'the log')
     bag = next(recordings.glob('*/*.mcap')).parent
-    live.wait_for_states(100)
+    live.wait(live.has_recorded, 'messages in it')
     page.get_by_role('button', name='End recording').click()
     page.get_by_text(f'recorded in {bag}').wait_for()
     assert len(read_run(bag).configuration) > 0
