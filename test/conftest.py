@@ -115,6 +115,7 @@ LONGEST_LOOK = 120.0  # s after which a test gives up on a page; it is drawn wit
 SPACING = 0.3  # m
 ACTUATED_MASS = 162  # of the paper's bodies
 _PROMISES = pytest.StashKey[dict]()
+_SERIES = pytest.StashKey[dict]()  # what was measured in each repetition, by row and name
 
 
 def pytest_addoption(parser):
@@ -125,7 +126,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    config.stash[_PROMISES] = {}
+    config.stash[_PROMISES], config.stash[_SERIES] = {}, {}
 
 
 class _BySubject(LoadScopeScheduling):
@@ -208,10 +209,17 @@ def repetitions(request):
 
 @pytest.fixture
 def kept_promise(request):
-    """Return a function: notes a promise that held in every repetition, and the times measured."""
+    """Return a function: notes a promise that held in every repetition, and the times measured.
 
-    def note(fault, promise, mode, repetitions, reaction=(), recovery=()):
+    Whatever else was measured is kept of all repetitions: the median.
+    """
+
+    def note(fault, promise, mode, repetitions, reaction=(), recovery=(), **measured):
         row = _promise(request.node, fault, promise, mode)
+        for name, value in measured.items():
+            series = request.config.stash[_SERIES].setdefault((_key(row), name), [])
+            series.append(value)
+            row[name] = statistics.median(series)
         row['repetitions'] += repetitions
         row['kept'] += repetitions
         for name, seconds in (('reaction', reaction), ('recovery', recovery)):

@@ -1,4 +1,4 @@
-"""How soon nodes find each other on DDS."""
+"""How soon nodes find each other on DDS, and learn of what they missed."""
 
 import os
 from pathlib import Path
@@ -7,18 +7,20 @@ from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.resources import config_path
 
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
-_FIRST_NAME_IN = ('humble', 'iron', 'jazzy')  # the others call the first one deprecated
+_PROFILES = ('fast_dds.xml', 'fast_dds_kilted.xml')
+_OF_THE_FIRST = ('humble', 'iron', 'jazzy')  # the others call that variable deprecated
 _FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')  # where a process starts
 
 
-def announce_often() -> None:
-    """Let Fast DDS announce this process, and those that it starts, often in their first seconds.
+def use_prompt_dds() -> None:
+    """Let Fast DDS announce often this process and those that it starts, and ask soon what is lost.
 
-    By default it does so for half a second and then every three: of nodes that start together some
-    miss each other and wait for the next time. Who has a profile of his own keeps it; other
-    middleware knows nothing of this one. To be called before the first context is initialised.
+    By default it announces a process for half a second and then every three: of nodes that start
+    together some miss each other and wait for the next time. And a writer asks every three seconds
+    what a reader has missed that was stopped or cut off. Who has a profile of his own keeps it;
+    other middleware knows nothing of this one. To be called before the first context is made.
     """
     has_own = any(name in os.environ for name in PROFILE_VARIABLES)
     if not has_own and not any(Path(name).exists() for name in _FILES):
-        variable = PROFILE_VARIABLES[ros_distribution() not in _FIRST_NAME_IN]
-        os.environ[variable] = str(config_path('fast_dds.xml'))
+        which = ros_distribution() not in _OF_THE_FIRST
+        os.environ[PROFILE_VARIABLES[which]] = str(config_path(_PROFILES[which]))

@@ -12,7 +12,7 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from dpc_ros.nodes.discovery import announce_often
+from dpc_ros.nodes.discovery import use_prompt_dds
 from dpc_ros.nodes.program import PARENT_VARIABLE
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,7 +61,7 @@ class StopRequest:
         return self
 
     def _initialize(self) -> None:
-        announce_often()
+        use_prompt_dds()
         try:
             others = remove_ros_args(['node', *self._arguments])[1:]
             rclpy.init(

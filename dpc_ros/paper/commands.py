@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from dpc_ros.paper import (
+    bodies,
     compression,
     control,
     interpretability,
@@ -22,13 +23,13 @@ from dpc_ros.paper import (
 )
 from dpc_ros.paper.models import Workshop
 from dpc_ros.paper.recipes import SYSTEMS
-from dpc_ros.results import write_results
+from dpc_ros.results import read_results, write_results
 
 TRAINING_SEED = 0  # of every recipe
 
 
 def run(experiment: str, workshop: Workshop, docs: Path) -> None:
-    """Run one experiment, or make the tables of the pages from the results.
+    """Run one experiment, or make the tables of the pages, and a figure, from the results.
 
     Raises:
         ValueError: there is no such experiment, or a training can not be used.
@@ -36,6 +37,9 @@ def run(experiment: str, workshop: Workshop, docs: Path) -> None:
     if experiment == 'tables':
         for page in tables.write_tables(docs):
             print(f'page        {page}')
+        figure = docs / 'bodies.png'
+        bodies.draw(read_results(docs / 'results' / 'hosts.json'), figure)
+        print(f'figure      {figure}')
         return
     if experiment not in EXPERIMENTS:
         raise ValueError(f'no experiment {experiment!r}: expected one of {NAMES}')

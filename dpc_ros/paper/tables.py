@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dpc_ros.files import replacing
+from dpc_ros.paper.bodies import of_bodies
 from dpc_ros.paper.published import (
     MSE,
     NOISE_DEVIATIONS,
@@ -414,6 +415,29 @@ def _faults(rows: Rows) -> str:
     return _markdown(header, body)
 
 
+def _hosts(rows: Rows) -> str:
+    return _faults([row for row in rows if 'bodies' not in row])
+
+
+def _bodies(rows: Rows) -> str:
+    header = [
+        'bodies',
+        'processor time of all nodes [cores]',
+        'round trip, median (p99) [ms]',
+        'a newcomer knows all nodes after [s]',
+    ]
+    body = [
+        [
+            f'{row["bodies"]:g}',
+            f'{row["cores"]:.2f}',
+            f'{row["round_trip_p50_ms"]:.1f} ({row["round_trip_p99_ms"]:.1f})',
+            f'{row["discovery_s"]:.2f}',
+        ]
+        for row in of_bodies(rows)
+    ]
+    return _markdown(header, body)
+
+
 def _benchmarks(rows: Rows) -> str:
     header = ['benchmark', 'ours', 'beside', 'theirs', 'ratio', 'goal']
     body = []
@@ -445,7 +469,8 @@ _TABLES: dict[str, Callable[[Rows], str]] = {
     'reachable': _reachable,
     'failures': _failures,
     'faults': _faults,
-    'hosts': _faults,
+    'hosts': _hosts,
+    'bodies': _bodies,
     'benchmarks': _benchmarks,
 }
 

@@ -19,7 +19,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
 
-from dpc_ros.nodes.discovery import announce_often
+from dpc_ros.nodes.discovery import use_prompt_dds
 from dpc_ros.nodes.messages import to_stamp
 from dpc_ros.nodes.topics import TOPICS
 
@@ -105,7 +105,7 @@ def relay(relays, is_over):
 
 
 def main(trips, file, *kinds):
-    announce_often()
+    use_prompt_dds()
     rclpy.init()
     relays = [Leader(kind) if kind == 'simulator' else Relay(kind) for kind in kinds]
     leads = isinstance(relays[0], Leader)

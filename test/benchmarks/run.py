@@ -2,7 +2,8 @@
 
     python test/benchmarks/run.py [NAME …] [--results docs/results/benchmarks.json]
 
-Those without ROS are in one process, on one thread unless their name says another number. The
+Each is in a process of its own, so that nothing of one goes on beside another. What is without ROS
+is measured in that, on one thread unless its name says another number. The
 ratio of the medians is what counts: the times are this machine's. What both compute is compared
 first. With names, as `body_step`, only those are run.
 
@@ -13,7 +14,9 @@ that removes the file.
 
 import argparse
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
 from tqdm import tqdm
@@ -57,9 +60,9 @@ def main():
         parser.error('expected --results without names: a file has all benchmarks')
     before = {_key(row): row['ratio'] for row in read_results(KNOWN)} if KNOWN.exists() else {}
     rows = []
-    with single_threaded_algebra():
-        for name in tqdm(options.names or BENCHMARKS, unit='benchmark'):
-            rows += import_module(name).measure()
+    for name in tqdm(options.names or BENCHMARKS, unit='benchmark'):
+        with ProcessPoolExecutor(1, get_context('spawn')) as process:
+            rows += process.submit(_measure, name).result()
     print(f'{"":<36}{"":>13}   {"beside":<40}{"":>13}   ratio   before')
     for row in rows:
         ours, peer = (quantity(row[key], row['unit']) for key in ('ours_median', 'peer_median'))
@@ -76,6 +79,11 @@ def main():
         sys.exit(f'slower than {KNOWN.name} has it: {", ".join(slower)}')
     if options.results:
         write_results(options.results, rows, seed=0)
+
+
+def _measure(name):
+    with single_threaded_algebra():
+        return import_module(name).measure()
 
 
 def _key(row):

@@ -24,7 +24,7 @@ from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import LOSSES_RECORD, read_raw, read_run
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
-from dpc_ros.nodes.discovery import announce_often
+from dpc_ros.nodes.discovery import use_prompt_dds
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
 from dpc_ros.resources import config_path
@@ -34,7 +34,7 @@ GIVE_UP = 120.0  # s after which a test stops waiting; nothing is asserted about
 DEMO = config_path('demo.yaml')
 SHARED_MEMORY = Path('/dev/shm')
 
-announce_often()
+use_prompt_dds()
 
 
 def named_shared_memory(lines: Iterable[str]) -> set[Path]:
@@ -96,11 +96,22 @@ class Domain:
             'PYTHONFAULTHANDLER': '1',
         }
 
-    def start(self, module: str, *arguments: str, cwd: Path | None = None) -> subprocess.Popen:
-        return self._start(['-m', f'dpc_ros.nodes.{module}', *arguments], self.environment, cwd)
+    def start(
+        self,
+        module: str,
+        *arguments: str,
+        cwd: Path | None = None,
+        through: Iterable[str] = (),
+        **variables: str,
+    ) -> subprocess.Popen:
+        command = ['-m', f'dpc_ros.nodes.{module}', *arguments]
+        return self._start(command, {**self.environment, **variables}, cwd, through)
 
-    def start_script(self, script: str, *arguments: str, **variables: str) -> subprocess.Popen:
-        return self._start(['-c', script, *arguments], {**self.environment, **variables})
+    def start_script(
+        self, script: str, *arguments: str, through: Iterable[str] = (), **variables: str
+    ) -> subprocess.Popen:
+        environment = {**self.environment, **variables}
+        return self._start(['-c', script, *arguments], environment, through=through)
 
     def _start(
         self,
@@ -125,8 +136,7 @@ class Domain:
         self, kind: str, plan: LaunchPlan, through: Iterable[str] = (), **variables: str
     ) -> subprocess.Popen:
         """Start a node, where a command that runs another is given, through that."""
-        arguments = ['-m', f'dpc_ros.nodes.{kind}_node', *plan.ros_arguments()]
-        return self._start(arguments, {**self.environment, **variables}, through=through)
+        return self.start(f'{kind}_node', *plan.ros_arguments(), through=through, **variables)
 
     def run(self, module: str, *arguments: str, cwd: Path | None = None) -> tuple[int, str]:
         process = self.start(module, *arguments, cwd=cwd)

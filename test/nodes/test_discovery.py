@@ -1,11 +1,12 @@
 import os
+import re
 import subprocess
 import sys
 
 import pytest
 from domain_coordinator import domain_id
 
-from dpc_ros.nodes.discovery import PROFILE_VARIABLES, announce_often
+from dpc_ros.nodes.discovery import PROFILE_VARIABLES, use_prompt_dds
 from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.resources import config_path
 
@@ -17,9 +18,9 @@ RENAMED = {
 }
 MEET = """
 import rclpy
-from dpc_ros.nodes.discovery import announce_often
+from dpc_ros.nodes.discovery import use_prompt_dds
 
-announce_often()
+use_prompt_dds()
 rclpy.init()
 rclpy.create_node('alone').destroy_node()
 rclpy.shutdown()
@@ -39,39 +40,52 @@ def profiles():
 
 
 @pytest.mark.parametrize(
-    ('distribution', 'variable'),
-    [('jazzy', PROFILE_VARIABLES[0]), ('kilted', PROFILE_VARIABLES[1])],
+    ('distribution', 'variable', 'profile'),
+    [
+        ('jazzy', PROFILE_VARIABLES[0], 'fast_dds.xml'),
+        ('kilted', PROFILE_VARIABLES[1], 'fast_dds_kilted.xml'),
+    ],
 )
-def test_the_shipped_profile_is_used(monkeypatch, distribution, variable):
+def test_the_shipped_profile_is_used(monkeypatch, distribution, variable, profile):
     monkeypatch.setattr(os, 'environ', os.environ | {'ROS_DISTRO': distribution})
-    announce_often()
-    assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {
-        variable: str(config_path('fast_dds.xml'))
-    }
+    use_prompt_dds()
+    assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: str(config_path(profile))}
 
 
 @pytest.mark.parametrize('variable', PROFILE_VARIABLES)
 def test_a_profile_of_the_user_is_kept(monkeypatch, variable):
     monkeypatch.setenv(variable, 'mine.xml')
-    announce_often()
+    use_prompt_dds()
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: 'mine.xml'}
 
 
 @pytest.mark.parametrize('name', ['DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml'])
 def test_a_profile_in_the_working_directory_is_kept(empty_folder, name):
     (empty_folder / name).touch()
-    announce_often()
+    use_prompt_dds()
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES)
+
+
+def test_the_profiles_of_all_distributions_say_the_same():
+    old, new = (
+        re.sub('<!--.*?-->', '', config_path(name).read_text(), flags=re.DOTALL)
+        for name in ('fast_dds.xml', 'fast_dds_kilted.xml')
+    )
+    assert renamed(old) == new
+
+
+def renamed(profile):
+    for old, new in RENAMED.items():
+        profile = profile.replace(f'{old}>', f'{new}>')
+    return profile
 
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
 def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
     is_renamed = ros_distribution() not in ('humble', 'iron', 'jazzy')
     text = config_path(name).read_text()
-    for old, new in RENAMED.items() if is_renamed else ():
-        text = text.replace(f'{old}>', f'{new}>')
     profile = empty_folder / name
-    profile.write_text(text)
+    profile.write_text(renamed(text) if is_renamed else text)
     with domain_id() as domain:
         variables = {'ROS_DOMAIN_ID': str(domain), PROFILE_VARIABLES[is_renamed]: str(profile)}
         command = [sys.executable, '-c', MEET]

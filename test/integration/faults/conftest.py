@@ -1,5 +1,6 @@
 """A running loop that faults are put into."""
 
+import math
 import signal
 import time
 from dataclasses import dataclass, field
@@ -48,6 +49,7 @@ class Loop:
     plan: object
     nodes: dict = field(default_factory=dict)
     states: list[State] = field(default_factory=list)
+    published: dict[int, float] = field(default_factory=dict)  # states: when first, by stamp [s]
     forces: list[Force] = field(default_factory=list)
 
     def __post_init__(self):
@@ -73,17 +75,20 @@ class Loop:
     def unpause(self, kind):
         self.nodes[kind].send_signal(signal.SIGCONT)
 
-    def go_on(self, answers, since=0.0):
+    def go_on(self, answers, since=0.0, within=math.inf):
         """Wait for so many states to be answered since a moment; return how long it took [s].
 
         That is when the second one was: the first may have been on its way when a node was lost.
+        Answers to states that were published longer ago [s] than they may be do not count.
         """
         begin = len(self.forces)
 
         def found():
             """Return when each answer that is not a watchdog's zero was sent."""
-            new = [each for each in self.forces[begin:] if each.sent > since]
-            return [each.sent for each in new if each.force.any()]
+            new = [each for each in self.forces[begin:] if each.sent > since and each.force.any()]
+            # A state that has not come yet is a young one.
+            ages = [each.sent - self.published.get(each.stamp, each.sent) for each in new]
+            return [each.sent for each, age in zip(new, ages, strict=True) if age <= within]
 
         self.observer.wait(lambda: len(found()) >= answers, 'answers')
         return found()[1] - since
@@ -101,6 +106,7 @@ class Loop:
     def _take_state(self, message, info):
         state = np.array(message.position), np.array(message.velocity)
         self.states.append(State(from_stamp(message.header.stamp), *state, sent(info)))
+        self.published.setdefault(self.states[-1].stamp, sent(info))
 
     def _take_force(self, message, info):
         force = message.wrench.force

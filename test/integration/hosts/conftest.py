@@ -33,10 +33,11 @@ def pytest_generate_tests(metafunc):
 
 @dataclass
 class Network:
-    """Three hosts on a switch, and the nodes that run on them.
+    """Hosts on a switch, and the nodes that run on them.
 
     Attributes:
         variables: of the environment of each node.
+        nodes: by kind; launchers by host.
     """
 
     domain: object
@@ -58,7 +59,7 @@ class Network:
 
     @property
     def addresses(self) -> list[str]:
-        return [f'10.0.0.{number}' for number in range(1, len(HOSTS) + 1)]
+        return [f'10.0.0.{number}' for number in range(1, len(self.hosts) + 1)]
 
     def cut(self, host: str, seconds: float) -> None:
         """Let frames neither to nor from a host through for a while."""
@@ -68,7 +69,7 @@ class Network:
 
     def forbid_multicast(self) -> None:
         self.order('multicast off')
-        for host in HOSTS:
+        for host in self.hosts:
             command = [*self.through(host), 'ip', 'route', 'delete', '224.0.0.0/4']
             subprocess.run(command, check=True)
 
@@ -81,6 +82,16 @@ class Network:
         for kind in plan.nodes:
             through = self.through(PLACES[kind])
             self.nodes[kind] = self.domain.start_node(kind, plan, through, **self.variables)
+
+    def launch(self, host: str, *arguments: str) -> None:
+        """Start the launcher on a host."""
+        self.nodes[host] = self.domain.start(
+            'launcher', *arguments, through=self.through(host), **self.variables
+        )
+
+    def start_script(self, host: str, script: str, *arguments: str) -> subprocess.Popen:
+        through = self.through(host)
+        return self.domain.start_script(script, *arguments, through=through, **self.variables)
 
     def wait_for_states(self, count: int) -> None:
         """Wait until the body has sent so many configurations to both other hosts."""
@@ -106,12 +117,18 @@ class Network:
 
 
 @pytest.fixture
-def start_switch():
+def hosts():
+    """The names of the hosts, where a test gives no others."""
+    return HOSTS
+
+
+@pytest.fixture
+def start_switch(hosts):
     """The command that starts hosts on a switch; they end with whoever runs it."""
     missing = [tool for tool in TOOLS if shutil.which(tool) is None]
     if missing or os.geteuid() or not Path('/dev/net/tun').exists():
         pytest.skip(f'hosts need root, /dev/net/tun and the tools {", ".join(TOOLS)}')
-    return [*BOUND, sys.executable, '-S', str(SWITCH), *HOSTS]
+    return [*BOUND, sys.executable, '-S', str(SWITCH), *hosts]
 
 
 @pytest.fixture
@@ -119,13 +136,13 @@ def network(domain, start_switch):
     """Hosts on a switch that is sound until it is told otherwise."""
     pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE}
     with subprocess.Popen(start_switch, text=True, **pipes) as switch:
-        hosts = switch.stdout.readline()
-        if not hosts:
+        processes = switch.stdout.readline()
+        if not processes:
             reason = switch.stderr.read().splitlines()[-1]
             if 'Operation not permitted' in reason:
                 pytest.skip(f'may not make hosts here: {reason}')
             pytest.fail(reason)
-        made = Network(domain, switch, json.loads(hosts))
+        made = Network(domain, switch, json.loads(processes))
         yield made
         for process in made.nodes.values():
             process.kill()
