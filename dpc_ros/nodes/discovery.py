@@ -7,8 +7,8 @@ from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.resources import config_path
 
 PROFILE_VARIABLES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
-_PROFILES = ('fast_dds.xml', 'fast_dds_kilted.xml')
-_OF_THE_FIRST = ('humble', 'iron', 'jazzy')  # the others call that variable deprecated
+_PROFILES = ('fast_dds.xml', 'fast_dds_kilted.xml')  # each for the variable in its place
+FAST_DDS_2 = ('humble', 'iron', 'jazzy')  # they have the first ones, later distributions the others
 _FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')  # where a process starts
 
 
@@ -22,5 +22,5 @@ def use_prompt_dds() -> None:
     """
     has_own = any(name in os.environ for name in PROFILE_VARIABLES)
     if not has_own and not any(Path(name).exists() for name in _FILES):
-        which = ros_distribution() not in _OF_THE_FIRST
+        which = ros_distribution() not in FAST_DDS_2
         os.environ[PROFILE_VARIABLES[which]] = str(config_path(_PROFILES[which]))

@@ -31,7 +31,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             panel.plot(bodies, [row[key] for row in rows], 'o-', color=colour, label=label)
         panel.set_title(name, fontsize='medium')
         panel.set_xscale('log', base=2)
-        panel.set_xticks(bodies, [str(each) for each in bodies])
+        panel.set_xticks(bodies, [f'{each:g}' for each in bodies])
         panel.set_xlabel('bodies')
         panel.set_ylim(bottom=0.0)
         if len(series) > 1:

@@ -59,8 +59,11 @@ def with_tables(text: str, results: Path) -> str:
         if name not in _TABLES:
             raise ValueError(f'no table {name!r}: expected one of {sorted(_TABLES)}')
         content = json.loads((results / f'{source}.json').read_text())
-        origin = f'\nFrom `{source}.json`: `{content["command"]}`.\n'
-        return f'{match.group(1)}\n{_TABLES[name](content["rows"])}{origin}\n{match.group(4)}'
+        rows = content['rows']
+        origin = f'`{source}.json`: `{content["command"]}`.'
+        if any('commit' in row for row in rows):  # they were measured by several commands
+            origin = f'`{source}.json`, which has the commit of each row.'
+        return f'{match.group(1)}\n{_TABLES[name](rows)}\nFrom {origin}\n\n{match.group(4)}'
 
     return _BLOCK.sub(table, text)
 

@@ -25,7 +25,7 @@ def run_remote(domain, folder, order, *words, ends=True):
     ) as process:
         process.stdin.write(f'{order}\n')
         process.stdin.flush()
-        output = ''
+        output, node = '', None
         while words and 'configured' not in output:
             line = process.stdout.readline()
             assert line, output
@@ -33,6 +33,7 @@ def run_remote(domain, folder, order, *words, ends=True):
             if found := re.match(r'process \S+/(\d+)$', line):
                 node = int(found[1])
         if 'kill' in words:
+            assert node is not None, output
             domain.will_leave_behind(node)
         for word in words:
             process.stdin.write(f'{word}\n')

@@ -128,7 +128,7 @@ def test_lockstep_waits_out_a_second_controller_and_a_stopped_simulator(
     observer.wait(lambda: len(witness.states) > count + 3, 'it to be repeated')
     assert {from_stamp(state.header.stamp) for state in witness.states[count:]} == {waiting}
     # The second one has been silent for that long: the first is taken again.
-    limit = 6.0  # s; Fast DDS alone may take 3 s to find back to a process that stood still
+    limit = 6.0  # s, for which its own standing still does not count
     witness.set_parameters('simulator', controller_timeout=0.1, response_timeout=limit)
     observer.wait(lambda: witness.stamp > waiting + 20 * STEP, 'the loop to go on')
     nodes['simulator'].send_signal(signal.SIGSTOP)

@@ -6,8 +6,9 @@ import sys
 import pytest
 from domain_coordinator import domain_id
 
-from dpc_ros.nodes.discovery import PROFILE_VARIABLES, use_prompt_dds
+from dpc_ros.nodes.discovery import FAST_DDS_2, PROFILE_VARIABLES, use_prompt_dds
 from dpc_ros.nodes.provenance import ros_distribution
+from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.resources import config_path
 
 # What the profiles say of it in a comment.
@@ -74,6 +75,13 @@ def test_the_profiles_of_all_distributions_say_the_same():
     assert renamed(old) == new
 
 
+@pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])
+def test_writers_of_the_loop_ask_soon_what_is_missing(name):
+    written = re.findall('<data_writer profile_name="/(.*)">', config_path(name).read_text())
+    assert written == ['configuration', 'latent_state', 'control_force']
+    assert {*written} < {*TOPICS}
+
+
 def renamed(profile):
     for old, new in RENAMED.items():
         profile = profile.replace(f'{old}>', f'{new}>')
@@ -82,7 +90,7 @@ def renamed(profile):
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
 def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
-    is_renamed = ros_distribution() not in ('humble', 'iron', 'jazzy')
+    is_renamed = ros_distribution() not in FAST_DDS_2
     text = config_path(name).read_text()
     profile = empty_folder / name
     profile.write_text(renamed(text) if is_renamed else text)

@@ -1,8 +1,8 @@
 """Who comes last to a domain with many bodies: `python newcomer.py NODES REPORTS`.
 
-Once the nodes of all bodies work it prints, as JSON, after how long somebody new has found them all
-[s]; then the values that each has reported of its health since, so many times: by the name with the
-namespace, of each key a list.
+Once the nodes of all bodies work, and have announced themselves often enough, it prints after how
+long somebody new has found them all [s]; then the values that each has reported of its health
+since, so many times: by the name with the namespace, of each key a list. Both are JSON behind MARK.
 """
 
 import json
@@ -13,7 +13,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 
+MARK = 'answer '
 PERIOD = 0.01  # s between two looks at the graph
+ANNOUNCED = 15.0  # s, after which a node announces itself seldom
+GIVE_UP = 400.0  # s
 
 
 def time_to_find(names):
@@ -35,10 +38,14 @@ def time_to_find(names):
     return seconds
 
 
+def answer(content):
+    print(f'{MARK}{json.dumps(content)}', flush=True)
+
+
 def main(nodes, count):
     rclpy.init()
     watcher = rclpy.create_node('watcher')
-    reports = {}
+    reports, deadline = {}, time.monotonic() + GIVE_UP
 
     def hear(message):
         for status in message.status:
@@ -48,14 +55,25 @@ def main(nodes, count):
 
     def wait(condition):
         while len(reports) < nodes or not all(map(condition, reports.values())):
-            rclpy.spin_once(watcher)
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'of {nodes} nodes work, and report: {[*reports]}')
+            rclpy.spin_once(watcher, timeout_sec=1.0)
 
-    watcher.create_subscription(DiagnosticArray, '/diagnostics', hear, 10 * nodes)
-    wait(lambda values: values['published'][-1] != '0')
-    print(json.dumps(time_to_find({*reports})), flush=True)
+    def listen():
+        return watcher.create_subscription(DiagnosticArray, '/diagnostics', hear, 10 * nodes)
+
+    before = listen()
+    wait(
+        lambda values: (
+            values['published'][-1] != '0' and float(values['uptime [s]'][-1]) > ANNOUNCED
+        )
+    )
+    watcher.destroy_subscription(before)  # what comes meanwhile is of no interest
+    answer(time_to_find({*reports}))
     reports.clear()
+    listen()
     wait(lambda values: len(values['published']) >= count)
-    print(json.dumps(reports), flush=True)
+    answer(reports)
     watcher.destroy_node()
     rclpy.shutdown()
 
