@@ -59,8 +59,8 @@ class EncoderNode(LoopNode):
         self._latent_state = self.create_output('latent_state')
         # An observer that has no time for a state bridges it, rather than be late for all others.
         observes = self._encoder.observer is not None
-        depth = 1 if observes else MOST_STATES
-        self.create_input('configuration', self._take_configuration, depth, raw=True)
+        newest = 1 if observes else MOST_STATES
+        self.create_input('configuration', self._take_configuration, newest, raw=True)
         if observes:
             self.create_input('control_force', self._take_force, raw=True)
 

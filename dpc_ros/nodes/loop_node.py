@@ -8,9 +8,8 @@ import os
 import sys
 import time
 import traceback
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
-from copy import copy
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -208,7 +207,7 @@ class LoopNode(LifecycleNode):
         self,
         topic: str,
         callback: Callable[..., None],
-        depth: int | None = None,
+        newest: int | None = None,
         raw: bool = False,
     ) -> None:
         """Subscribe to a topic of the loop.
@@ -216,16 +215,17 @@ class LoopNode(LifecycleNode):
         Args:
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
-            depth: how many of the newest wait while the node is busy, if not those of the topic.
+            newest: how many it takes of those that have come while the node was busy or stopped,
+                if not all.
             raw: whether it takes the bytes of a message instead.
         """
         entry = TOPICS[topic]
-        qos = copy(entry.qos)
-        if depth is not None:
-            qos.depth = depth
-        self._inputs.append(
-            self.create_subscription(entry.message_type, topic, callback, qos, raw=raw)
+        subscription = self.create_subscription(
+            entry.message_type, topic, callback, entry.qos, raw=raw
         )
+        if newest is not None:
+            subscription.callback = _of_the_newest(subscription, callback, newest)
+        self._inputs.append(subscription)
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.
@@ -440,6 +440,29 @@ def _fits(offered: QoSProfile, requested: QoSProfile) -> bool:
         offered.reliability == ReliabilityPolicy.RELIABLE
         or requested.reliability == ReliabilityPolicy.BEST_EFFORT
     )
+
+
+def _of_the_newest(
+    subscription: Subscription, callback: Callable[..., None], count: int
+) -> Callable[[Any, dict[str, int]], None]:
+    """Return a callback that leaves out all but so many of the messages that wait for it.
+
+    A subscription of that depth would do the same, but not in Fast DDS: of its room for messages it
+    loses a place whenever one is sent again that is older than all that wait, until none is left.
+    """
+    most = subscription.qos_profile.depth
+
+    def take(message: Any, info: dict[str, int]) -> None:
+        waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
+        for _ in range(most):
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                break
+            waiting.append(taken)
+        for each in waiting:
+            callback(*each)
+
+    return take
 
 
 def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | None = None) -> int:

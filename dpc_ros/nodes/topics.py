@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 # Messages of more than one second at 1 kHz: a slow recorder loses nothing.
 _LOOP_DEPTH = 2000
-# Who acts on states and was held up leaves out all but these: answers to old ones do harm.
+# Who acts on states and was held up takes only these, the newest: answers to old ones do harm.
 MOST_STATES = 20
 
 LOOP_QOS = QoSProfile(

@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.srv import ChangeState
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -18,6 +19,7 @@ from dpc_ros.control import LatentObserver, ObserverSettings
 from dpc_ros.network import Mechanics, load_network, save_network
 from dpc_ros.nodes.controller_node import ControllerNode
 from dpc_ros.nodes.encoder_node import EncoderNode
+from dpc_ros.nodes.loop_node import LoopNode
 from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
 from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
@@ -393,3 +395,28 @@ def test_parameters_are_described_and_read_only(observer, node_class):
         assert result.reason
     finally:
         node.close()
+
+
+@pytest.mark.parametrize('newest', [1, 20])
+def test_who_was_held_up_takes_the_newest(run_here, observer, newest):
+    """And all that come after it, in order; those that it left out count as lost."""
+    node = run_here(LoopNode('encoder', observer.node.context))
+    taken = []
+
+    def take(message, info):
+        node.receive('configuration', info)
+        taken.append(from_stamp(message.header.stamp))
+
+    node.create_input('configuration', take, newest)
+    publisher = observer.node.create_publisher(JointState, 'configuration', LOOP_QOS)
+    observer.wait(publisher.get_subscription_count, 'the subscription')
+    publisher.publish(configuration(0))
+    observer.wait(lambda: taken, 'the first message')
+    for stamp in range(1, 1001):  # while nothing is taken
+        publisher.publish(configuration(stamp))
+    assert publisher.wait_for_all_acked(Duration(seconds=10))
+    observer.wait(lambda: len(taken) > newest, 'the newest messages')
+    publisher.publish(configuration(1001))
+    observer.wait(lambda: taken[-1] == 1001, 'the message after them')
+    assert taken == [0, *range(1001 - newest, 1002)]
+    assert node.health.lost['configuration'] == 1000 - newest
