@@ -13,6 +13,7 @@ PACKAGE = Path(dpc_ros.__file__).parent
 # From the bottom up: each imports only from itself and those before it.
 ROOMS = [
     'files',
+    'finite',
     'figure',
     'machine',
     'resources',

@@ -1,8 +1,9 @@
-"""A dense decoder in compiled code: its value and derivatives at one point, in float64.
+"""Dense autoencoders in compiled code: value and derivatives at one point, in float64.
 
-One pass moves several rows through the layers: the value, the second derivative along the latent
-velocity, and a tangent for each latent. Rows and units stand in blocks of four, filled up by
-zeros, so that a weight is loaded once for sixteen products.
+One pass moves several rows through the layers. Of a decoder: the value, the second derivative along
+the latent velocity, and a tangent for each latent; rows and units stand in blocks of four, filled
+up by zeros, so that a weight is loaded once for sixteen products. Of an encoder: the value and one
+tangent, in which a weight is loaded once for both.
 """
 
 from __future__ import annotations
@@ -33,6 +34,25 @@ class DenseDecoder(NamedTuple):
     biases: tuple[np.ndarray, ...]
     skip: np.ndarray
     silu: bool
+
+
+class DenseEncoder(NamedTuple):
+    """What the kernel needs of E(q), which is made as D(ξ) is: the same as there."""
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+    skip: np.ndarray
+    silu: bool
+
+
+def dense_encoder(
+    weights: Sequence[Float[np.ndarray, 'outputs inputs']],
+    biases: Sequence[Float[np.ndarray, ' outputs']],
+    skip: Float[np.ndarray, 'm n'] | None,
+    activation: str,
+) -> DenseEncoder:
+    """Return an encoder for the kernel; see `dense_decoder`, whose layers go the other way."""
+    return DenseEncoder(*dense_decoder(weights, biases, skip, activation))
 
 
 def dense_decoder(
@@ -159,3 +179,50 @@ def _elu(z):
         return z, 1.0, 0.0
     slope = math.exp(z)
     return slope - 1.0, slope, slope
+
+
+def value_and_product(
+    encoder: DenseEncoder,
+    configuration: Float[np.ndarray, ' n'],
+    velocity: Float[np.ndarray, ' n'],
+) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
+    """Return E(q) and J_E(q) q̇."""
+    rows = np.zeros((2, len(encoder.skip)))  # and so the kernel knows one kind of array alone
+    rows[:, : len(configuration)] = configuration, velocity
+    value, product = _move_pair(encoder, rows)
+    return value, product
+
+
+@njit(cache=True)
+def _move_pair(encoder, entered):
+    moved = entered
+    last = len(encoder.weights) - 1
+    for layer in range(last + 1):
+        weight = encoder.weights[layer]
+        left = np.zeros((2, weight.shape[1]))
+        left[0] = encoder.biases[layer]
+        _add_product_of_pair(left, moved, weight)
+        if layer < last:
+            value, tangent = left[0], left[1]
+            for i in range(weight.shape[1]):
+                value[i], slope, _ = _silu(value[i]) if encoder.silu else _elu(value[i])
+                tangent[i] *= slope
+        else:
+            _add_product_of_pair(left, entered, encoder.skip)
+        moved = left
+    return moved
+
+
+@njit(cache=True, fastmath={'contract'})
+def _add_product_of_pair(out, x, weight):
+    """Add x·W to the two rows of `out`, four inputs at a time."""
+    outputs = weight.shape[1]
+    out0, out1 = out[0], out[1]
+    for k in range(0, weight.shape[0], _BLOCK):
+        w0, w1, w2, w3 = weight[k], weight[k + 1], weight[k + 2], weight[k + 3]
+        a0, a1, a2, a3 = x[0, k], x[0, k + 1], x[0, k + 2], x[0, k + 3]
+        b0, b1, b2, b3 = x[1, k], x[1, k + 1], x[1, k + 2], x[1, k + 3]
+        for j in range(outputs):
+            v0, v1, v2, v3 = w0[j], w1[j], w2[j], w3[j]
+            out0[j] += (v0 * a0 + v1 * a1) + (v2 * a2 + v3 * a3)
+            out1[j] += (v0 * b0 + v1 * b1) + (v2 * b2 + v3 * b3)

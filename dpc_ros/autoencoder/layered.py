@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from dpc_ros.autoencoder.layers import DenseLayer, Layer
 from dpc_ros.autoencoder.perceptron import Perceptron
 
 if TYPE_CHECKING:
-    from dpc_ros.autoencoder.compiled import DenseDecoder
+    from dpc_ros.autoencoder.compiled import DenseDecoder, DenseEncoder
 
 _CHUNK = 512  # configurations that go through the layers at a time
 
@@ -64,7 +65,11 @@ class LayeredAutoencoder(Autoencoder):
         velocity: Float[np.ndarray, ' n'],
         guess: Float[np.ndarray, ' m'] | None = None,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        return self._encoder.value_and_jacobian_product(configuration, velocity)
+        if self._compiled_encoder is None:
+            return self._encoder.value_and_jacobian_product(configuration, velocity)
+        from dpc_ros.autoencoder.compiled import value_and_product
+
+        return value_and_product(self._compiled_encoder, configuration, velocity)
 
     def decode_with_jacobian(
         self, latent: Float[np.ndarray, '*batch m']
@@ -79,19 +84,37 @@ class LayeredAutoencoder(Autoencoder):
         return self._decoder.value_and_derivatives(latent, latent_velocity)
 
     def compiled_decoder(self) -> DenseDecoder | None:
-        layers = self._decoder.layers
-        weights = [layer.weight for layer in layers if isinstance(layer, DenseLayer)]
-        if len(weights) < len(layers):
+        if not _is_dense(self._decoder):
             return None
         from dpc_ros.autoencoder.compiled import dense_decoder  # with numba: not every node's
 
-        biases = [layer.bias for layer in layers]
-        return dense_decoder(weights, biases, self._decoder.skip, self._decoder.activation)
+        return dense_decoder(*_arrays(self._decoder))
+
+    @cached_property
+    def _compiled_encoder(self) -> DenseEncoder | None:
+        if not _is_dense(self._encoder):
+            return None
+        from dpc_ros.autoencoder.compiled import dense_encoder
+
+        return dense_encoder(*_arrays(self._encoder))
 
     def decoder_curvature(
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']
     ) -> Float[np.ndarray, 'm m']:
         return self._decoder.curvature(latent, weight)
+
+
+def _is_dense(network: Perceptron) -> bool:
+    return all(isinstance(layer, DenseLayer) for layer in network.layers)
+
+
+def _arrays(
+    network: Perceptron,
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray | None, str]:
+    """Return what compiled code needs of a network whose layers are all dense."""
+    weights = [layer.weight for layer in network.layers if isinstance(layer, DenseLayer)]
+    biases = [layer.bias for layer in network.layers]
+    return weights, biases, network.skip, network.activation
 
 
 class NamedTensors:

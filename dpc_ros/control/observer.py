@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from dpc_ros.autoencoder import Autoencoder
 from dpc_ros.control.stamps import LONGEST_GAP, NANOSECOND
+from dpc_ros.finite import all_finite
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics
 from dpc_ros.parameters import ParameterError
 from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
@@ -126,7 +127,7 @@ class LatentObserver:
 
         The first measurement, one after too long a gap, and one from before the last begin anew.
         """
-        if not (np.isfinite(latent).all() and np.isfinite(velocity).all()):
+        if not (all_finite(latent) and all_finite(velocity)):
             return latent, velocity  # there is nothing to learn from it
         try:
             noise = self._measurement_covariance(latent)
@@ -147,7 +148,7 @@ class LatentObserver:
         predicted = np.concatenate(state)
         innovation = np.concatenate([latent, velocity]) - predicted
         estimate = predicted + gain @ innovation
-        if not np.isfinite(estimate).all():
+        if not all_finite(estimate):
             return self._begin(latent, velocity, stamp, noise)
         self.innovation = innovation
         self.innovation_covariance = total

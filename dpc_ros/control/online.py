@@ -20,6 +20,7 @@ from dpc_ros.control.registry import LAW_PARAMETERS, law_of_parameters
 from dpc_ros.control.schedule import TargetSchedule
 from dpc_ros.control.solver import Answer, Question, Solver, SolverHere
 from dpc_ros.control.targets import Target
+from dpc_ros.finite import all_finite
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics
 from dpc_ros.reduction import CompressedSystem
 
@@ -210,7 +211,7 @@ class OnlineController:
             Exception: whatever else a law of another package raises.
         """
         force = self.law.force(latent, latent_velocity, stamp)
-        if not (force.shape == (2,) and np.isfinite(force).all()):
+        if not (force.shape == (2,) and all_finite(force)):
             raise ValueError(f'expected a finite force in the plane, got {force}')
         return force
 

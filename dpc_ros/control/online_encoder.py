@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dpc_ros.control.models import load_models
+from dpc_ros.finite import all_finite
 from dpc_ros.parameters import ParameterError
 
 
@@ -88,5 +89,5 @@ class OnlineEncoder:
 
 
 def _check_finite(latent: np.ndarray, latent_velocity: np.ndarray) -> None:
-    if not (np.isfinite(latent).all() and np.isfinite(latent_velocity).all()):
+    if not (all_finite(latent) and all_finite(latent_velocity)):
         raise ValueError('expected a finite latent state, got one that is not')

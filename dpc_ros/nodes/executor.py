@@ -53,7 +53,7 @@ from rclpy.waitable import NumberOfEntities
 LONGEST_WAIT_S = 0.1
 
 # While messages come, services and what else is rare is looked at as often as this.
-_RARE_PERIOD = 0.02  # s
+_RARE_PERIOD = 0.05  # s
 
 _LARGEST_BATCH = 1000  # messages of one subscription in a row, so that none starves the others
 
@@ -297,7 +297,8 @@ class KeptWaitSetExecutor(Executor):
         """
         with self._holding():
             while not (self._is_shutdown or condition()):
-                self._spin_once(LONGEST_WAIT_S, lambda: False)
+                if not self._run_next():
+                    self._prepare_next(LONGEST_WAIT_S)
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Stop spinning; see `rclpy.executors.Executor.shutdown`."""
@@ -325,15 +326,23 @@ class KeptWaitSetExecutor(Executor):
         while not self._is_shutdown and not is_over():
             if self._run_next():
                 return
-            if not self._resumed_since_wait:
-                self._resumed_since_wait = True
-                self._collect_tasks()
-                continue
             remaining = max(0.0, deadline - time.monotonic())
-            unchanged = self._wait(min(remaining, LONGEST_WAIT_S))
-            self._resumed_since_wait = False
+            unchanged = self._prepare_next(min(remaining, LONGEST_WAIT_S))
             if unchanged and not self._ready and time.monotonic() >= deadline:
                 return
+
+    def _prepare_next(self, timeout_sec: float) -> bool:
+        """Line up what can run next; wait for it only if no task can go on.
+
+        Returns:
+            False if nothing was waited for, or the entities have changed meanwhile.
+        """
+        if self._tasks and not self._resumed_since_wait:
+            self._resumed_since_wait = True
+            self._collect_tasks()
+            return False
+        self._resumed_since_wait = False
+        return self._wait(timeout_sec)
 
     def _run_next(self) -> bool:
         """Run what is next among the ready; return False if nothing was."""

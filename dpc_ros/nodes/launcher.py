@@ -22,7 +22,7 @@ from dpc_ros.nodes.by_hand import commands_by_hand
 from dpc_ros.nodes.executor import make_executor
 from dpc_ros.nodes.hosts import check_hosts
 from dpc_ros.nodes.launch_plan import LOOP, RECORDER, LaunchPlan, make_plan
-from dpc_ros.nodes.loop_node import LoopNode, finish, spin_until
+from dpc_ros.nodes.loop_node import LoopNode, finish, spared_by_collections, spin_until
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.processes import STOP_TIMEOUT, NodeProcesses
 from dpc_ros.nodes.stop import StopRequest
@@ -191,10 +191,13 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
             nodes[kind].start()
 
         def is_over() -> bool:
-            failed = any(node.failure for node in nodes.values())
-            return bool(stop) or failed or nodes['simulator'].finished
+            for node in nodes.values():
+                if node.failure:
+                    return True
+            return nodes['simulator'].finished or bool(stop)
 
-        spin_until(executor, is_over)
+        with spared_by_collections():
+            spin_until(executor, is_over)
         finish(executor, [nodes[kind] for kind in (*LOOP, RECORDER) if kind in nodes])
     except Exception as error:  # of any node: it takes the others with it, but not the log
         traceback.print_exc()

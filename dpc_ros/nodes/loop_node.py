@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import gc
 import os
 import sys
 import time
 import traceback
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -494,7 +495,8 @@ def _run(node: LoopNode, stop: StopRequest) -> int:
     try:
         if node.start():
             _give_way(node.niceness)
-            spin_until(executor, lambda: bool(stop or node.failure or node.finished))
+            with spared_by_collections():
+                spin_until(executor, lambda: bool(stop or node.failure or node.finished))
             finish(executor, [node])
     except Exception as error:  # of whatever a callback calls; what was recorded is kept
         traceback.print_exc()
@@ -516,6 +518,17 @@ def _give_way(niceness: int) -> None:
         for thread in os.listdir('/proc/self/task'):
             with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
                 os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
+
+
+@contextlib.contextmanager
+def spared_by_collections() -> Iterator[None]:
+    """Let the garbage collector pass over all that is there by now: to look at it takes ms."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def set_period(timer: Timer, seconds: float) -> None:

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
 from dpc_ros.bag.topic import LATENT_PREFIX, NANOSECONDS
+from dpc_ros.finite import all_finite
 
 if TYPE_CHECKING:
     from dpc_ros.control import Controllers
@@ -190,7 +191,7 @@ def finite(values: array, size: int, what: str) -> np.ndarray:
     if len(values) != size:
         raise MessageError(f'expected {size} {what}, got {len(values)}')
     result = np.frombuffer(values) if size else np.empty(0)
-    if not np.isfinite(result).all():
+    if not all_finite(result):
         bad = int(np.flatnonzero(~np.isfinite(result))[0])
         raise MessageError(f'expected finite {what}, but number {bad} is {result[bad]}')
     return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from copy import copy
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from dpc_ros.nodes.executor import RareCallbackGroup
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp, is_latent
 from dpc_ros.nodes.topics import TOPICS
+from dpc_ros.nodes.wire import Pattern, state_pattern
 
 _REFRESH = 0.1  # s between two looks at the newest messages
 _BAR_FORMAT = '{desc}: {percentage:3.0f}%|{bar:20}| {n:.2f}/{total:.2f} s{postfix}'
@@ -32,6 +33,7 @@ class Monitor(Node):
         super().__init__(LAUNCHER, context=context)
         self._newest: dict[str, bytes] = {}
         self._start: np.ndarray | None = None  # what the error is normalised by
+        self._states: Pattern | None = None  # that the first configuration is one of
         entry = TOPICS['configuration']
         self._first = self.create_subscription(
             entry.message_type, 'configuration', self._begin, entry.qos, raw=True
@@ -54,8 +56,8 @@ class Monitor(Node):
     @property
     def seconds(self) -> float:
         """Simulated time of the newest configuration [s], 0 before the first."""
-        state = self._read_newest('configuration')
-        return 0.0 if state is None else from_stamp(state.header.stamp) / NANOSECONDS
+        seconds, _ = self._read_state()
+        return seconds or 0.0
 
     def target_in_force(self) -> dict[str, list[float]] | None:
         """Return the target that the controller has announced last, as a target file has it."""
@@ -78,16 +80,12 @@ class Monitor(Node):
         self._bar.close()
 
     def _show(self) -> None:
-        state = self._read_newest('configuration')
-        if state is None:
-            return
-        seconds = from_stamp(state.header.stamp) / NANOSECONDS
-        if seconds == self._bar.n:
+        seconds, configuration = self._read_state()
+        if seconds is None or seconds == self._bar.n:
             return
         self._bar.n = min(seconds, self._bar.total or seconds)  # tqdm drops a total it passes
         self._bar.set_description_str('running', refresh=False)
         shown = []
-        configuration = np.array(state.position)
         target, answer = self._read_newest('target'), self._read_newest('control_force')
         sizes = {configuration.size, None if self._start is None else self._start.size}
         if target is not None and sizes == {len(target.position)}:
@@ -104,6 +102,7 @@ class Monitor(Node):
         state = _read(data, 'configuration')
         if state is not None:
             self._start = np.array(state.position)
+            self._states = state_pattern(state.header.frame_id, len(state.position), state.name)
             self.destroy_subscription(self._first)
 
     def _subscribe(self, topic: str) -> Subscription:
@@ -122,11 +121,28 @@ class Monitor(Node):
             if taken is not None:
                 self._newest[topic], _ = taken
 
+    def _read_state(self) -> tuple[float | None, np.ndarray]:
+        """Return time [s] and configuration [m] of the newest state; no time where there is none.
+
+        All states are like the first one. To take one apart by rclpy would hold a loop that runs
+        in this process for milliseconds.
+        """
+        data = self._newest.get('configuration')
+        found = self._states.read(data) if data is not None and self._states is not None else None
+        if found is not None:
+            stamp, configuration, _ = found
+            return stamp / NANOSECONDS, configuration
+        state = self._read_newest('configuration')
+        if state is None:
+            return None, np.empty(0)
+        return from_stamp(state.header.stamp) / NANOSECONDS, np.array(state.position)
+
     def _read_newest(self, topic: str) -> Any:
         """Return the newest message of a topic; None where there is none, or none that is one."""
         return _read(self._newest[topic], topic) if topic in self._newest else None
 
 
+@lru_cache(maxsize=len(TOPICS))  # a target is the same for long
 def _read(data: bytes, topic: str) -> Any:
     """Return a message of a topic; None where the bytes are none."""
     try:

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.control import LONGEST_GAP, Controllers, Patience, approach
+from dpc_ros.finite import all_finite
 from dpc_ros.network import Body, Gravity, Integrator, Mechanics, load_network
 from dpc_ros.nodes.health import NO_WATCHDOG, PAUSED_READING, WATCHDOG_OK
 from dpc_ros.nodes.loop_node import LoopNode, run_node
@@ -254,9 +255,7 @@ class SimulatorNode(LoopNode):
         self._pushes = {m: push for m, push in self._pushes.items() if push[0] > self._awaited}
         pushes = {mass: push for mass, (_, push) in self._pushes.items()}
         self._body.advance(self._acting_force(), pushes)
-        if not (
-            np.isfinite(self._body.configuration).all() and np.isfinite(self._body.velocity).all()
-        ):
+        if not (all_finite(self._body.configuration) and all_finite(self._body.velocity)):
             self.fail(
                 f'the body diverged at {self._awaited / NANOSECONDS:g} s: '
                 'lower the gains, or raise the rate'

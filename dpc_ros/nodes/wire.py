@@ -2,8 +2,8 @@
 
 To make an object of a message, with an object for each of its parts, costs several times what its
 content does. All messages of one publisher differ in stamp and numbers only: where these stand is
-known, and what is read counts if the bytes are then those that would be written of it. Whatever
-else comes, rclpy takes apart.
+known, and a message counts as one of these if it has the same bytes everywhere else. Whatever else
+comes, rclpy takes apart.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame
 from dpc_ros.bag.topic import NANOSECONDS
+from dpc_ros.finite import all_finite
 from dpc_ros.nodes.messages import read_force, read_message, read_stamp, read_state
 
 _ENCODING = b'\x00\x01\x00\x00'  # plain CDR, little-endian; alignment counts from behind it
@@ -75,6 +76,14 @@ class Pattern:
         self._count = arrays[-1].stop
         self._arrays = arrays
         self._numbers = self._numbers_of(self._message)
+        free = [slice(len(_ENCODING), len(_ENCODING) + _STAMP.size)]
+        free += [
+            slice(begin + _NUMBER * each.start, begin + _NUMBER * each.stop) for each in arrays
+        ]
+        ends = [0, *(place.stop for place in free)]
+        begins = [*(place.start for place in free), len(message)]
+        same = [slice(*place) for place in zip(ends, begins, strict=True)]
+        self._same = [(place, message[place]) for place in same]
 
     def write(self, stamp: int, *arrays: Float[np.ndarray, ' k']) -> bytes:
         """Return the message of a stamp [ns]."""
@@ -85,14 +94,15 @@ class Pattern:
         """Return stamp [ns] and arrays of a message, None unless it is a sound one of these."""
         if len(data) != len(self._message):
             return None
+        for place, content in self._same:
+            if data[place] != content:
+                return None
         seconds, rest = _STAMP.unpack_from(data, len(_ENCODING))
         numbers = self._numbers_of(data).copy()  # in the data they are not aligned
-        if seconds < 0 or rest >= NANOSECONDS or not np.isfinite(numbers).all():
+        if seconds < 0 or rest >= NANOSECONDS or not all_finite(numbers):
             return None
         stamp = seconds * NANOSECONDS + rest
-        arrays = [numbers[place] for place in self._arrays]
-        self._fill(stamp, arrays)
-        return (stamp, *arrays) if self._message == data else None
+        return (stamp, *(numbers[place] for place in self._arrays))
 
     def _numbers_of(self, data: bytes | bytearray) -> np.ndarray:
         return np.frombuffer(data, count=self._count, offset=self._begin)

@@ -1,4 +1,4 @@
-"""The compiled decoder is the decoder, and its derivatives are those of automatic differentiation.
+"""Compiled encoder and decoder are those of numpy; derivatives are by automatic differentiation.
 
 Weights are random, and so are the sizes: blocks of four are filled up where they don't fit.
 """
@@ -17,7 +17,9 @@ from dpc_ros.autoencoder.compiled import (
     SECOND,
     VALUE,
     dense_decoder,
+    dense_encoder,
     value_and_derivatives,
+    value_and_product,
 )
 
 # torch compiles its own rules of forward mode when they are first needed.
@@ -81,6 +83,24 @@ def test_any_sizes(sizes, activation, with_skip, seed):
     assert_derivatives(sizes, activation, with_skip, seed)
 
 
+@given(
+    sizes=st.lists(st.integers(1, 9), min_size=2, max_size=5),
+    activation=st.sampled_from(sorted(ACTIVATIONS)),
+    with_skip=st.booleans(),
+    seed=st.integers(0, 100),
+)
+def test_an_encoder_of_any_sizes(sizes, activation, with_skip, seed):
+    weights, biases = random_layers(sizes, seed)
+    rng = np.random.default_rng(seed + 1)
+    skip = rng.normal(size=(sizes[-1], sizes[0])) if with_skip else None
+    configuration, velocity = rng.normal(size=(2, sizes[0]))
+    encoder = dense_encoder(weights, biases, skip, activation)
+    latent, latent_velocity = value_and_product(encoder, configuration, velocity)
+    value, jacobian, _ = reference(weights, biases, skip, activation, configuration, velocity)
+    np.testing.assert_allclose(latent, value, atol=1e-12)
+    np.testing.assert_allclose(latent_velocity, jacobian.numpy() @ velocity, atol=1e-12)
+
+
 @pytest.mark.parametrize('layers', [1, 2, 6])
 def test_any_number_of_layers(layers):
     assert_derivatives([3] * layers + [8], 'silu', True, seed=layers)
@@ -92,6 +112,9 @@ def test_far_latents_give_finite_values():
         decoder = dense_decoder(weights, biases, None, activation)
         for latent in (np.full(2, 1e4), np.full(2, -1e4)):
             assert np.isfinite(value_and_derivatives(decoder, latent, latent)).all()
+        encoder = dense_encoder(weights, biases, None, activation)
+        for configuration in (np.full(2, 1e4), np.full(2, -1e4)):
+            assert np.isfinite(value_and_product(encoder, configuration, configuration)).all()
 
 
 def test_other_activations_are_refused():
