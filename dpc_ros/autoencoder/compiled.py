@@ -188,7 +188,8 @@ def value_and_product(
 ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
     """Return E(q) and J_E(q) q̇."""
     rows = np.zeros((2, len(encoder.skip)))  # and so the kernel knows one kind of array alone
-    rows[:, : len(configuration)] = configuration, velocity
+    rows[0, : len(configuration)] = configuration
+    rows[1, : len(velocity)] = velocity
     value, product = _move_pair(encoder, rows)
     return value, product
 

@@ -299,6 +299,7 @@ class KeptWaitSetExecutor(Executor):
             while not (self._is_shutdown or condition()):
                 if not self._run_next():
                     self._prepare_next(LONGEST_WAIT_S)
+                    self._run_next()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Stop spinning; see `rclpy.executors.Executor.shutdown`."""
@@ -454,7 +455,7 @@ class KeptWaitSetExecutor(Executor):
             )
             if self._is_shutdown:
                 return True
-            if not self._context.ok():
+            if guards_ready and not self._context.ok():  # a shutdown triggers the guard
                 raise ExternalShutdownException
             if guard.handle.pointer in guards_ready and self._entities() != every.entities:
                 self._forget_wait_set()
