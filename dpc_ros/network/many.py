@@ -11,7 +11,7 @@ from jaxtyping import Float
 from dpc_ros.network import lanes
 from dpc_ros.network.integration import Integrator, Trajectory, simulate
 
-LANES = 16  # side by side at most: what fills the vector instructions and fits into the cache
+LANES = 32  # side by side at most: what fills the vector instructions and fits into the cache
 _FEWEST_LANES = 4  # fewer are no faster than one by one
 
 
