@@ -37,8 +37,17 @@ class DenseDecoder(NamedTuple):
 
 
 class DenseEncoder(NamedTuple):
-    """What the kernel needs of E(q), which is made as D(ξ) is: the same as there."""
+    """What the kernel needs of E(q) = Sq + W_L σ(… σ(W₁q + b₁) …) + b_L.
 
+    Attributes:
+        inputs: size of q.
+        weights: W_lᵀ, each with zeros up to whole blocks of inputs and hidden outputs.
+        biases: b_l, likewise.
+        skip: Sᵀ, likewise, zeros where there is no skip.
+        silu: σ is SiLU, else ELU.
+    """
+
+    inputs: int
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
     skip: np.ndarray
@@ -52,7 +61,7 @@ def dense_encoder(
     activation: str,
 ) -> DenseEncoder:
     """Return an encoder for the kernel; see `dense_decoder`, whose layers go the other way."""
-    return DenseEncoder(*dense_decoder(weights, biases, skip, activation))
+    return DenseEncoder(weights[0].shape[1], *dense_decoder(weights, biases, skip, activation))
 
 
 def dense_decoder(
@@ -186,10 +195,14 @@ def value_and_product(
     configuration: Float[np.ndarray, ' n'],
     velocity: Float[np.ndarray, ' n'],
 ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-    """Return E(q) and J_E(q) q̇."""
+    """Return E(q) and J_E(q) q̇.
+
+    Raises:
+        ValueError: q or q̇ has another size.
+    """
     rows = np.zeros((2, len(encoder.skip)))  # and so the kernel knows one kind of array alone
-    rows[0, : len(configuration)] = configuration
-    rows[1, : len(velocity)] = velocity
+    rows[0, : encoder.inputs] = configuration
+    rows[1, : encoder.inputs] = velocity
     value, product = _move_pair(encoder, rows)
     return value, product
 

@@ -1,9 +1,9 @@
-"""Autoencoders made of layers, for online use: numpy alone, in float64."""
+"""Autoencoders made of layers, for online use, in float64: numpy, and compiled where dense."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from dpc_ros.autoencoder.layers import DenseLayer, Layer
 from dpc_ros.autoencoder.perceptron import Perceptron
 
 if TYPE_CHECKING:
-    from dpc_ros.autoencoder.compiled import DenseDecoder, DenseEncoder
+    from dpc_ros.autoencoder.compiled import DenseDecoder
 
 _CHUNK = 512  # configurations that go through the layers at a time
 
@@ -65,11 +65,7 @@ class LayeredAutoencoder(Autoencoder):
         velocity: Float[np.ndarray, ' n'],
         guess: Float[np.ndarray, ' m'] | None = None,
     ) -> tuple[Float[np.ndarray, ' m'], Float[np.ndarray, ' m']]:
-        if self._compiled_encoder is None:
-            return self._encoder.value_and_jacobian_product(configuration, velocity)
-        from dpc_ros.autoencoder.compiled import value_and_product
-
-        return value_and_product(self._compiled_encoder, configuration, velocity)
+        return self._encode_along(configuration, velocity)
 
     def decode_with_jacobian(
         self, latent: Float[np.ndarray, '*batch m']
@@ -91,12 +87,12 @@ class LayeredAutoencoder(Autoencoder):
         return dense_decoder(*_arrays(self._decoder))
 
     @cached_property
-    def _compiled_encoder(self) -> DenseEncoder | None:
+    def _encode_along(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
         if not _is_dense(self._encoder):
-            return None
-        from dpc_ros.autoencoder.compiled import dense_encoder
+            return self._encoder.value_and_jacobian_product
+        from dpc_ros.autoencoder.compiled import dense_encoder, value_and_product
 
-        return dense_encoder(*_arrays(self._encoder))
+        return partial(value_and_product, dense_encoder(*_arrays(self._encoder)))
 
     def decoder_curvature(
         self, latent: Float[np.ndarray, ' m'], weight: Float[np.ndarray, ' n']

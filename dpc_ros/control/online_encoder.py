@@ -36,7 +36,7 @@ class OnlineEncoder:
         self.network, self.checkpoint, self.autoencoder = load_models(parameters)
         self.observer = None
         if parameters['observer'] == 'kalman':
-            # With numba and the body's mechanics, which an encoder alone has no use for.
+            # With the body's mechanics, which an encoder alone has no use for.
             from dpc_ros.control.observer import make_observer
 
             self.observer = make_observer(self.network, self.autoencoder, parameters)

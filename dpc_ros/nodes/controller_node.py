@@ -81,7 +81,7 @@ class ControllerNode(LoopNode):
         self._target_in_force = self.create_output('target_in_force')
         self._parameters_in_force = self.create_output('parameters_in_force')
         self._announced: Mapping[str, Any] = {}  # on `parameters_in_force`
-        # Of what is ready together these run first: what came before a latent state counts for it.
+        # Of what is ready together these run first: what has come by then counts for the state.
         if settings['replayed_parameters']:
             self.create_input('parameters', self._replay_parameters)
         self.create_input('target', self._take_target)

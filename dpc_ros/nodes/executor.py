@@ -53,7 +53,7 @@ from rclpy.waitable import NumberOfEntities
 LONGEST_WAIT_S = 0.1
 
 # While messages come, services and what else is rare is looked at as often as this.
-_RARE_PERIOD = 0.05  # s
+_RARE_PERIOD = 0.02  # s
 
 _LARGEST_BATCH = 1000  # messages of one subscription in a row, so that none starves the others
 

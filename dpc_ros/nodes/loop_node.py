@@ -217,7 +217,7 @@ class LoopNode(LifecycleNode):
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
             newest: how many it takes of those that have come while the node was busy or stopped,
-                if not all.
+                if not all; it then takes their info, too.
             raw: whether it takes the bytes of a message instead.
         """
         entry = TOPICS[topic]
@@ -450,6 +450,7 @@ def _of_the_newest(
 
     A subscription of that depth would do the same, but not in Fast DDS: of its room for messages it
     loses a place whenever one is sent again that is older than all that wait, until none is left.
+    Where there are as many places as the publisher keeps messages, that hardly ever happens.
     """
     most = subscription.qos_profile.depth
 
@@ -522,7 +523,10 @@ def _give_way(niceness: int) -> None:
 
 @contextlib.contextmanager
 def spared_by_collections() -> Iterator[None]:
-    """Let the garbage collector pass over all that is there by now: to look at it takes ms."""
+    """Let the garbage collector pass over all that is there by now: to look at it takes ms.
+
+    What a node makes that is configured later it does look at.
+    """
     gc.collect()
     gc.freeze()
     try:

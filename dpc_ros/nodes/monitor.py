@@ -102,7 +102,8 @@ class Monitor(Node):
         state = _read(data, 'configuration')
         if state is not None:
             self._start = np.array(state.position)
-            self._states = state_pattern(state.header.frame_id, len(state.position), state.name)
+            if len(state.position):
+                self._states = state_pattern(state.header.frame_id, len(state.position), state.name)
             self.destroy_subscription(self._first)
 
     def _subscribe(self, topic: str) -> Subscription:

@@ -87,7 +87,9 @@ class Pattern:
 
     def write(self, stamp: int, *arrays: Float[np.ndarray, ' k']) -> bytes:
         """Return the message of a stamp [ns]."""
-        self._fill(stamp, arrays)
+        _STAMP.pack_into(self._message, len(_ENCODING), *divmod(stamp, NANOSECONDS))
+        for place, array in zip(self._arrays, arrays, strict=True):
+            self._numbers[place] = array
         return bytes(self._message)
 
     def read(self, data: bytes) -> tuple[Any, ...] | None:
@@ -106,11 +108,6 @@ class Pattern:
 
     def _numbers_of(self, data: bytes | bytearray) -> np.ndarray:
         return np.frombuffer(data, count=self._count, offset=self._begin)
-
-    def _fill(self, stamp: int, arrays: Sequence[np.ndarray]) -> None:
-        _STAMP.pack_into(self._message, len(_ENCODING), *divmod(stamp, NANOSECONDS))
-        for place, array in zip(self._arrays, arrays, strict=True):
-            self._numbers[place] = array
 
 
 def state_pattern(frame_id: str, size: int, names: Sequence[str] = ()) -> Pattern:

@@ -101,6 +101,14 @@ def test_an_encoder_of_any_sizes(sizes, activation, with_skip, seed):
     np.testing.assert_allclose(latent_velocity, jacobian.numpy() @ velocity, atol=1e-12)
 
 
+@pytest.mark.parametrize('size', [3, 5])  # of which neither fills a block of four
+def test_a_configuration_of_another_size_is_refused(size):
+    encoder = dense_encoder(*random_layers((4, 5, 2), 0), None, 'silu')
+    for sizes in ((size, 4), (4, size)):
+        with pytest.raises(ValueError, match='broadcast'):
+            value_and_product(encoder, *map(np.zeros, sizes))
+
+
 @pytest.mark.parametrize('layers', [1, 2, 6])
 def test_any_number_of_layers(layers):
     assert_derivatives([3] * layers + [8], 'silu', True, seed=layers)
