@@ -61,7 +61,7 @@ class StopRequest:
         return self
 
     def _initialize(self) -> None:
-        use_prompt_dds()
+        use_prompt_dds(self._arguments)
         try:
             others = remove_ros_args(['node', *self._arguments])[1:]
             rclpy.init(

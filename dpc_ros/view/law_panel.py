@@ -49,14 +49,17 @@ class LawPanel:
         self.show({name: declared[name].default for name in self._fields})
 
     def show(self, parameters: Mapping[str, Any]) -> None:
-        """Show what is in force; fields that were changed and not applied are lost."""
+        """Show what is in force; a field that was changed and not applied yet keeps its change."""
         for name, value in parameters.items():
             field = self._fields.get(name)
             if field is None:
                 continue
             if name == _LAW and value not in field.options:
                 field.options = (*field.options, value)  # of a package that only the node has
-            self._in_force[name] = field.value = value
+            is_changed = name in self._in_force and field.value != self._in_force[name]
+            self._in_force[name] = value
+            if not is_changed:
+                field.value = value
 
     def _changed(self) -> dict[str, Any]:
         """Return what differs from what is in force."""

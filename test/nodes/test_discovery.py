@@ -2,6 +2,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from domain_coordinator import domain_id
@@ -51,6 +52,37 @@ def test_the_shipped_profile_is_used(monkeypatch, distribution, variable, profil
     monkeypatch.setattr(os, 'environ', os.environ | {'ROS_DISTRO': distribution})
     use_prompt_dds()
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: str(config_path(profile))}
+
+
+@pytest.mark.parametrize('distribution', ['jazzy', 'kilted'])
+@pytest.mark.parametrize('given', ['/body_2', 'body_2', '/left/body_2/'])
+def test_the_profile_names_the_topics_of_a_namespace(
+    monkeypatch, empty_folder, distribution, given
+):
+    variables = {'ROS_DISTRO': distribution, 'XDG_CACHE_HOME': str(empty_folder)}
+    monkeypatch.setattr(os, 'environ', os.environ | variables)
+    use_prompt_dds(['--ros-args', '-r', f'__ns:={given}', '-p', 'rate:=100.0'])
+    (profile,) = filter(None, profiles().values())
+    namespace = '/' + given.strip('/')
+    text = Path(profile).read_text()
+    assert re.findall('<data_writer profile_name="(.*)">', text) == [
+        f'{namespace}/{topic}' for topic in ('configuration', 'latent_state', 'control_force')
+    ]
+
+
+def test_a_home_that_takes_no_file_is_no_error(monkeypatch, empty_folder):
+    (empty_folder / 'cache').touch()
+    monkeypatch.setenv('XDG_CACHE_HOME', str(empty_folder / 'cache'))
+    use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
+    (profile,) = filter(None, profiles().values())
+    assert profile.startswith(str(config_path('.')))
+
+
+@pytest.mark.parametrize('arguments', [[], ['--ros-args', '-r', '__ns:=/']])
+def test_the_root_is_no_namespace(arguments):
+    use_prompt_dds(arguments)
+    (profile,) = filter(None, profiles().values())
+    assert profile.startswith(str(config_path('.')))
 
 
 @pytest.mark.parametrize('variable', PROFILE_VARIABLES)

@@ -81,9 +81,13 @@ def test_what_is_wanted_in_the_browser_arrives(live, wishes, open_page, set_fiel
     set_field(page, 'proportional gain', 3.5)
     page.get_by_role('button', name='Apply').click()
     assert wishes.next('tune') == [{'proportional_gain': 3.5}]
-    live.show_parameters({'largest_force': 20.123456, 'force_weight': 1.25e-9})
+    set_field(page, 'integral gain', 0.25)
+    shown = {'largest_force': 20.123456, 'force_weight': 1.25e-9, 'integral_gain': 0.5}
+    live.show_parameters(shown)
     for value in ('20.123456', '0.00000000125'):
         page.locator(f'input[value="{value}"]').wait_for()
+    page.get_by_role('button', name='Apply').click()  # what is not in force yet is asked for again
+    assert wishes.next('tune') == [{'proportional_gain': 3.5, 'integral_gain': 0.25}]
     live.tell('expected 0 to 1000000, got -1', problem=True)
     page.get_by_text('expected 0 to 1000000, got -1').wait_for()
     assert page.errors == []
