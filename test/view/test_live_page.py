@@ -81,7 +81,7 @@ def test_what_is_wanted_in_the_browser_arrives(live, wishes, open_page, set_fiel
     set_field(page, 'proportional gain', 3.5)
     page.get_by_role('button', name='Apply').click()
     assert wishes.next('tune') == [{'proportional_gain': 3.5}]
-    set_field(page, 'integral gain', 0.25)
+    set_field(page, 'integral gain [1/s]', 0.25)
     shown = {'largest_force': 20.123456, 'force_weight': 1.25e-9, 'integral_gain': 0.5}
     live.show_parameters(shown)
     for value in ('20.123456', '0.00000000125'):
