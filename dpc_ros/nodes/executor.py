@@ -73,6 +73,24 @@ class _Entity(NamedTuple):
     is_plain: bool  # a subscription whose callback is no coroutine: this is where messages pass
 
 
+def take_and_call(subscription: Subscription) -> bool:
+    """Call a subscription's callback with the next message; return False where none waits."""
+    try:
+        with subscription.handle:
+            message_and_info = subscription.handle.take_message(
+                subscription.msg_type, subscription.raw
+            )
+    except InvalidHandle:
+        return False
+    if message_and_info is None:
+        return False
+    if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+        subscription.callback(message_and_info[0])
+    else:
+        subscription.callback(*message_and_info)
+    return True
+
+
 class RareCallbackGroup(MutuallyExclusiveCallbackGroup):
     """A group whose callbacks are in no hurry: while messages come they run only now and then.
 
@@ -381,19 +399,8 @@ class KeptWaitSetExecutor(Executor):
         """Do as `_take_and_call`, without its coroutines: this is where the messages pass."""
         try:
             for _ in range(_LARGEST_BATCH if self._gathering_s else 1):
-                try:
-                    with subscription.handle:
-                        message_and_info = subscription.handle.take_message(
-                            subscription.msg_type, subscription.raw
-                        )
-                except InvalidHandle:
+                if not take_and_call(subscription):
                     return
-                if message_and_info is None:
-                    return
-                if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-                    subscription.callback(message_and_info[0])
-                else:
-                    subscription.callback(*message_and_info)
         finally:
             subscription.callback_group.ending_execution(subscription)
 

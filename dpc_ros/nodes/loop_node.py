@@ -10,7 +10,7 @@ import sys
 import time
 import traceback
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor, take_and_call
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -225,7 +225,8 @@ class LoopNode(LifecycleNode):
             entry.message_type, topic, callback, entry.qos, raw=raw
         )
         if newest is not None:
-            subscription.callback = _of_the_newest(subscription, callback, newest)
+            earlier = tuple(self._inputs)
+            subscription.callback = _of_the_newest(subscription, callback, newest, earlier)
         self._inputs.append(subscription)
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
@@ -444,25 +445,42 @@ def _fits(offered: QoSProfile, requested: QoSProfile) -> bool:
 
 
 def _of_the_newest(
-    subscription: Subscription, callback: Callable[..., None], count: int
+    subscription: Subscription,
+    callback: Callable[..., None],
+    count: int,
+    earlier: Sequence[Subscription],
 ) -> Callable[[Any, dict[str, int]], None]:
     """Return a callback that leaves out all but so many of the messages that wait for it.
 
     A subscription of that depth would do the same, but not in Fast DDS: of its room for messages it
     loses a place whenever one is sent again that is older than all that wait, until none is left.
     Where there are as many places as the publisher keeps messages, that hardly ever happens.
+
+    Args:
+        subscription: whose callback it is to be.
+        callback: takes a message and its info.
+        count: of messages.
+        earlier: subscriptions whose messages count for those that came after them. The executor
+            has looked at these for the first message only.
     """
     most = subscription.qos_profile.depth
 
     def take(message: Any, info: dict[str, int]) -> None:
         waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
+        is_single = True
         for _ in range(most):
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
             if taken is None:
                 break
             waiting.append(taken)
-        for each in waiting:
-            callback(*each)
+            is_single = False
+        if not is_single:
+            for each in earlier:
+                for _ in range(each.qos_profile.depth):
+                    if not take_and_call(each):
+                        break
+        for message, info in waiting:
+            callback(message, info)
 
     return take
 

@@ -420,3 +420,30 @@ def test_who_was_held_up_takes_the_newest(run_here, observer, newest):
     observer.wait(lambda: taken[-1] == 1001, 'the message after them')
     assert taken == [0, *range(1001 - newest, 1002)]
     assert node.health.lost['configuration'] == 1000 - newest
+
+
+def test_a_target_counts_for_all_states_that_came_after_it(run_here, observer):
+    """Also for one that comes between the executor's wait and the callback of the state before."""
+    node = run_here(LoopNode('encoder', observer.node.context))
+    taken = []
+    node.create_input('target', lambda _: taken.append('target'))
+    node.create_input('configuration', lambda message, _: taken.append(message.header.stamp), 20)
+    publishers = {
+        topic: observer.node.create_publisher(JointState, topic, qos)
+        for topic, qos in (('target', TARGET_QOS), ('configuration', LOOP_QOS))
+    }
+    for publisher in publishers.values():
+        observer.wait(publisher.get_subscription_count, 'the subscription')
+    states = [configuration(stamp) for stamp in (1, 2)]
+    for topic, message in (
+        ('configuration', states[0]),
+        ('target', JointState()),
+        ('configuration', states[1]),
+    ):
+        publishers[topic].publish(message)
+        assert publishers[topic].wait_for_all_acked(Duration(seconds=10))
+    (subscription,) = (
+        each for each in node.subscriptions if each.topic_name.endswith('configuration')
+    )
+    subscription.callback(*subscription.handle.take_message(JointState, False))
+    assert taken == ['target', *(state.header.stamp for state in states)]
