@@ -91,7 +91,7 @@ from dpc_ros.results import read_results, source_commit, write_results  # noqa: 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-pytest_plugins = ['logs']  # of test/fixtures
+pytest_plugins = ['logs', 'this_host']  # of test/fixtures
 
 hypothesis.settings.register_profile('dpc_ros', deadline=None, max_examples=20)
 hypothesis.settings.load_profile('dpc_ros')
@@ -132,8 +132,8 @@ def pytest_configure(config):
 class _BySubject(LoadScopeScheduling):
     """Keeps the tests of a file, and all those with processes on DDS, in one of several workers.
 
-    Ports in the shared memory of Fast DDS belong to all domains of a machine. Tests on hosts that
-    have a shared memory of their own stand beside all others.
+    Processes of two tests would wait for each other's turn; those on hosts of their own wait more
+    than they compute.
     """
 
     def _split_scope(self, nodeid):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dpc_ros.nodes.discovery import LOCAL_VARIABLE, PEERS_VARIABLE, RANGE_VARIABLE
 from dpc_ros.parameters import ParameterError
 
 SECTION = 'hosts'  # of a parameter file for the launcher
@@ -21,11 +22,6 @@ _SSH = (
 _KEYS = ('nodes', 'ssh', 'command', 'python', 'folder', 'environment')
 # In which all nodes of a run must agree, and what they are where they are not set.
 _FORWARDED = {'ROS_DOMAIN_ID': '0', 'RMW_IMPLEMENTATION': ''}
-_RANGE, _PEERS, _LOCAL = (
-    'ROS_AUTOMATIC_DISCOVERY_RANGE',
-    'ROS_STATIC_PEERS',
-    'ROS_LOCALHOST_ONLY',  # of older distributions; rcl still obeys it
-)
 
 
 @dataclass(frozen=True)
@@ -182,11 +178,13 @@ def check_hosts(hosts: Mapping[str, Host], here: Mapping[str, str]) -> None:
         if shutil.which(program) is None:
             raise ParameterError(f'{SECTION}: {host.name}: there is no program {program!r} here')
     for name, variables in sides.items() if hosts else ():
-        told = _keeps_to_itself(variables, any(each.get(_PEERS) for each in sides.values()))
+        knows_peers = any(each.get(PEERS_VARIABLE) for each in sides.values())
+        told = _keeps_to_itself(variables, knows_peers)
         if told:
+            way = f', or list the addresses of the hosts in {PEERS_VARIABLE}'
             raise ParameterError(
                 f'{told} ({name}) keeps the nodes of the run from each other: unset it'
-                + (f', or list the addresses of the hosts in {_PEERS}' if _RANGE in told else '')
+                + (way if RANGE_VARIABLE in told else '')
             )
 
 
@@ -197,9 +195,9 @@ def _keeps_to_itself(variables: Mapping[str, str], knows_peers: bool) -> str:
         variables: of the nodes.
         knows_peers: whether any side is told where the others are: one's word is enough for both.
     """
-    if variables.get(_LOCAL) == '1':
-        return f'{_LOCAL}=1'
-    reach = variables.get(_RANGE, '')
+    if variables.get(LOCAL_VARIABLE) == '1':
+        return f'{LOCAL_VARIABLE}=1'
+    reach = variables.get(RANGE_VARIABLE, '')
     if reach == 'OFF' or (reach == 'LOCALHOST' and not knows_peers):
-        return f'{_RANGE}={reach}'
+        return f'{RANGE_VARIABLE}={reach}'
     return ''

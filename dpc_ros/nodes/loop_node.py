@@ -460,25 +460,22 @@ def _of_the_newest(
         subscription: whose callback it is to be.
         callback: takes a message and its info.
         count: of messages.
-        earlier: subscriptions whose messages count for those that came after them. The executor
-            has looked at these for the first message only.
+        earlier: subscriptions whose messages count for those that came after them. One may have
+            come since the executor has looked at these, and before the first message.
     """
     most = subscription.qos_profile.depth
 
     def take(message: Any, info: dict[str, int]) -> None:
         waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
-        is_single = True
         for _ in range(most):
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
             if taken is None:
                 break
             waiting.append(taken)
-            is_single = False
-        if not is_single:
-            for each in earlier:
-                for _ in range(each.qos_profile.depth):
-                    if not take_and_call(each):
-                        break
+        for each in earlier:
+            for _ in range(each.qos_profile.depth):
+                if not take_and_call(each):
+                    break
         for message, info in waiting:
             callback(message, info)
 

@@ -24,7 +24,7 @@ from dpc_ros.autoencoder import load_checkpoint, with_encoder
 from dpc_ros.bag import LOSSES_RECORD, read_raw, read_run
 from dpc_ros.control import LatentObserver, LawSettings, load_target, make_law, run_closed_loop
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import PROFILE_VARIABLES, RANGE_VARIABLE
 from dpc_ros.nodes.launch_plan import LaunchPlan, make_plan
 from dpc_ros.reduction import CompressedSystem
 from dpc_ros.resources import config_path
@@ -32,27 +32,20 @@ from dpc_ros.threads import single_threaded_algebra
 
 GIVE_UP = 120.0  # s after which a test stops waiting; nothing is asserted about the time itself
 DEMO = config_path('demo.yaml')
-SHARED_MEMORY = Path('/dev/shm')
-
-use_prompt_dds()
 
 
-def named_shared_memory(lines: Iterable[str]) -> set[Path]:
-    """Return the segments and ports of Fast DDS that are named, each with its two locks."""
-    found = re.findall(r'/dev/shm/fast(?:rtps|dds)_(?:port)?[0-9a-f]+', '\n'.join(lines))
-    return {
-        path
-        for name in {Path(each).name for each in found}
-        for path in (
-            SHARED_MEMORY / name,
-            SHARED_MEMORY / f'{name}_el',  # open as long as its owner lives
-            SHARED_MEMORY / f'sem.{name}_mutex',  # open only while a port is used
-        )
-    }
+def shared_memory() -> set[Path]:
+    """Return what Fast DDS has in shared memory, whoever it belongs to."""
+    return {*Path('/dev/shm').glob('*fast*')}
+
+
+def sockets_here() -> set[str]:
+    """Return the UDP sockets of this process: nodes that are not gone have some."""
+    used = {line.split()[9] for line in Path('/proc/self/net/udp').read_text().splitlines()[1:]}
+    return {name for name in open_files('self') if re.sub(r'\D', '', name) in used}
 
 
 def open_files(process: int | str) -> list[str]:
-    """Return what a process has open; of shared memory, the locks of what it owns."""
     names = []
     with contextlib.suppress(OSError):
         for descriptor in Path(f'/proc/{process}/fd').iterdir():
@@ -61,37 +54,21 @@ def open_files(process: int | str) -> list[str]:
     return names
 
 
-def held_shared_memory(process: int | str) -> set[Path]:
-    """Return what a process owns or has mapped."""
-    maps = Path(f'/proc/{process}/maps').read_text().splitlines()
-    return named_shared_memory(maps + open_files(process))
-
-
-def owned_shared_memory() -> set[Path]:
-    """Return what has a living owner; who has talked to a dead one keeps its memory mapped."""
-    processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
-    return named_shared_memory([name for each in processes for name in open_files(each)])
-
-
-def memory_owned_here() -> set[Path]:
-    """Return what nodes in this process have; what killed ones leave there can't be cleaned up."""
-    return named_shared_memory(open_files('self'))
-
-
 @dataclass
 class Domain:
     """A DDS domain of its own: processes started on it end with the test."""
 
     number: int
     processes: list[subprocess.Popen] = field(default_factory=list)
-    left_behind: set[Path] = field(default_factory=set)
+    memory: set[Path] = field(default_factory=shared_memory)  # of others, before the test
 
     @property
     def environment(self) -> dict[str, str]:
+        own = ('OMP_NUM_THREADS', *PROFILE_VARIABLES)  # of this process
         return {
-            **{name: value for name, value in os.environ.items() if name != 'OMP_NUM_THREADS'},
+            **{name: value for name, value in os.environ.items() if name not in own},
             'ROS_DOMAIN_ID': str(self.number),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            RANGE_VARIABLE: 'LOCALHOST',
             'PYTHONUNBUFFERED': '1',
             'PYTHONFAULTHANDLER': '1',
         }
@@ -143,40 +120,20 @@ class Domain:
         output, _ = process.communicate(timeout=GIVE_UP)
         return process.returncode, output
 
-    def shared_memory(self, process: int | str) -> set[Path]:
-        """Return what a process owns or has mapped, nothing if it has ended."""
-        try:
-            return held_shared_memory(process)
-        except OSError:
-            return set()
-
-    def unused(self, memory: set[Path]) -> set[Path]:
-        """Return what of some shared memory is left though no living process uses it.
-
-        Ports are left out: their names are those of any process of the machine, in any domain, and
-        one that was killed can leave a port behind that all who have it after it can't remove.
-        """
-        processes = [folder.name for folder in Path('/proc').glob('[0-9]*')]
-        used = {path for process in processes for path in self.shared_memory(process)}
-        segments = {path for path in memory - used if '_port' not in path.name}
-        return {path for path in segments if path.exists()}
-
-    def will_leave_behind(self, process: int) -> None:
-        """Remember the shared memory that a process can't remove any more once it is killed."""
-        self.left_behind |= self.shared_memory(process)
-
     def kill(self, process: subprocess.Popen) -> float:
-        """Kill a process, and remember the shared memory that it can't remove any more.
+        """Kill a process.
 
         Returns:
             when it was killed, by the clock of `time.time` [s].
         """
-        self.will_leave_behind(process.pid)
         killed = time.time()
         process.kill()
         process.wait()
         process.stdout.close()
         return killed
+
+    def assert_memory_is_clean(self) -> None:
+        assert shared_memory() <= self.memory, 'a node has used shared memory'
 
     def stop(self, process: subprocess.Popen) -> tuple[int, str]:
         if process.poll() is None:
@@ -211,30 +168,27 @@ def only_what_tests_make_is_collected():
 
 
 @pytest.fixture
-def domain():
+def domain(this_host):
     with domain_id() as number:
         domain = Domain(number)
-        before = memory_owned_here()
+        sockets = sockets_here()
         yield domain
-        if memory_owned_here():
+        if not sockets_here() <= sockets:
             gc.collect()  # a node and its callbacks refer to each other
         for process in domain.processes:
             if process.poll() is None:
-                domain.will_leave_behind(process.pid)  # where it can't end by itself yet
                 process.terminate()
         for process in domain.processes:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(10)
             domain.kill(process)
-        for path in domain.left_behind - owned_shared_memory():
-            path.unlink(missing_ok=True)
-        assert memory_owned_here() <= before, 'a node in the process of the test was not destroyed'
+        assert sockets_here() <= sockets, 'a node in the process of the test was not destroyed'
+        domain.assert_memory_is_clean()
 
 
 @pytest.fixture
-def observer(domain, monkeypatch):
+def observer(domain):
     """A node of the test itself on the domain, with an executor to spin."""
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     context = Context()
     rclpy.init(context=context, domain_id=domain.number)
     node = rclpy.create_node('observer', context=context)

@@ -4,7 +4,6 @@ import contextlib
 import os
 import signal
 import sys
-import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -33,7 +32,6 @@ LOOP = ('simulator', 'encoder', 'controller')
 NODES = ('recorder', *LOOP)
 CONFIGURE, ACTIVATE = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE
 DEACTIVATE, CLEANUP = Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP
-LOOK_PERIOD = 0.1  # s between two looks at what processes have mapped
 COMMON_SERVICES = (
     *('change_state', 'get_state', 'get_available_states', 'get_available_transitions'),
     *('get_transition_graph', 'describe_parameters', 'get_parameter_types', 'get_parameters'),
@@ -258,20 +256,13 @@ def test_nothing_is_imported_or_compiled_once_a_node_is_active(domain, plan):
 
 
 class Launched:
-    """A launcher and the nodes that it starts, as their reports and topics show them.
+    """A launcher and the nodes that it starts, as their reports and topics show them."""
 
-    To see what shared memory all of them have takes as long as the run itself, so it is watched
-    only where `assert_nothing_is_left` is asked for.
-    """
-
-    def __init__(self, domain, observer, folder, *arguments, watch_memory=False):
+    def __init__(self, domain, observer, folder, *arguments):
         self.domain, self.observer, self.folder = domain, observer, folder
-        self.watches_memory = watch_memory
         self.processes = {}
         self.stamps = []
         self.output = ''
-        self.memory = set()
-        self.looked_at = 0.0
         node = observer.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._take_report, 10)
         # The run begins when the observer is there, and not before.
@@ -306,7 +297,6 @@ class Launched:
         """Send a node a signal once it has reported; if it ends it, another will report."""
         self.wait(lambda: name in self.processes, f'a report of {name}')
         process = self.processes.pop(name)
-        self.domain.will_leave_behind(process)
         os.kill(process, number)
         return process
 
@@ -319,11 +309,6 @@ class Launched:
         return self.launcher.returncode, self.output
 
     def has_ended(self):
-        now = time.monotonic()
-        if self.watches_memory and now - self.looked_at > LOOK_PERIOD:
-            self.looked_at = now
-            for process in (self.launcher.pid, *self.nodes()):
-                self.memory |= self.domain.shared_memory(process)
         return self.launcher.poll() is not None
 
     def has_said(self, text):
@@ -347,9 +332,8 @@ class Launched:
         return found
 
     def assert_nothing_is_left(self):
-        assert self.watches_memory
         assert not self.nodes()
-        assert not self.domain.unused(self.memory)
+        self.domain.assert_memory_is_clean()
 
 
 @pytest.mark.faults(
@@ -390,10 +374,9 @@ def test_a_companion_that_crashes_is_no_matter_to_the_run(
     domain, observer, tmp_path, assert_repeats
 ):
     options = ('--markers', '--restarts', '1')
-    run = Launched(domain, observer, tmp_path / 'run', *options, watch_memory=True)
+    run = Launched(domain, observer, tmp_path / 'run', *options)
     run.wait(lambda: run.nodes('markers'), 'the companion')
     (first,) = run.nodes('markers')
-    domain.will_leave_behind(first)
     os.kill(first, signal.SIGKILL)
     pictures = []
     observer.node.create_subscription(MarkerArray, 'markers', pictures.append, MARKERS.qos)
@@ -607,12 +590,21 @@ def maps(process):
         return ''
 
 
+def has_sockets(process):
+    """Return whether a process has those of DDS: for discovery, and for messages."""
+    try:
+        files = [os.readlink(each) for each in Path(f'/proc/{process.pid}/fd').iterdir()]
+    except OSError:
+        return False
+    return sum(file.startswith('socket:') for file in files) > 1
+
+
 MILESTONES = {
     'imports': lambda run: IMPORTS in maps(run.launcher),
     'ros': lambda run: '_rclpy_pybind11' in maps(run.launcher),
     'plan': lambda run: (run.folder / 'parameters.yaml').exists(),
     'node processes': lambda run: (run.folder / 'log' / 'controller.log').exists(),
-    'shared memory': lambda run: '/dev/shm/fast' in maps(run.launcher),
+    'sockets': lambda run: has_sockets(run.launcher),
     'bag': lambda run: (run.folder / 'bag').exists(),
     'first state': lambda run: bool(run.stamps),
 }
@@ -633,7 +625,7 @@ MILESTONES = {
 )
 def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milestone):
     """With one more while it is finishing, if it gets that far."""
-    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0', watch_memory=True)
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0')
     run.begin()
     run.wait(lambda: MILESTONES[milestone](run), milestone)
     run.launcher.send_signal(signal.SIGINT)
@@ -648,10 +640,10 @@ def test_ctrl_c_ends_the_launcher_at_any_time(domain, observer, tmp_path, milest
 
 
 NODE_MILESTONES = {
-    'imports': IMPORTS,
-    'ros': '_rclpy_pybind11',
-    'middleware': 'librmw_fastrtps',
-    'shared memory': '/dev/shm/fast',
+    'imports': lambda process: IMPORTS in maps(process),
+    'ros': lambda process: '_rclpy_pybind11' in maps(process),
+    'middleware': lambda process: 'librmw_fastrtps' in maps(process),
+    'sockets': has_sockets,
 }
 
 
@@ -669,11 +661,9 @@ def test_ctrl_c_ends_a_node_at_any_time(domain, observer, tmp_path, milestone):
         )
         for kind, bag in (*((kind, tmp_path / 'bag') for kind in NODES), ('player', SAMPLE))
     }
-    memory = set()
     while running:
         for kind, process in [*running.items()]:
-            memory |= domain.shared_memory(process.pid)
-            if NODE_MILESTONES[milestone] in maps(process) or process.poll() is not None:
+            if NODE_MILESTONES[milestone](process) or process.poll() is not None:
                 process.send_signal(signal.SIGINT)
                 process.send_signal(signal.SIGINT)
                 del running[kind]
@@ -681,7 +671,7 @@ def test_ctrl_c_ends_a_node_at_any_time(domain, observer, tmp_path, milestone):
         output, _ = process.communicate(timeout=GIVE_UP)
         assert process.returncode == 0, output
         assert 'Traceback' not in output
-    assert not domain.unused(memory)
+    domain.assert_memory_is_clean()
 
 
 COMPOSED = """
@@ -724,7 +714,7 @@ FIRST = 3  # cycles, by the end of which everything has been used once
 def test_starting_and_stopping_leaves_nothing(domain, observer, tmp_path, cycles, kept_promise):
     for cycle in range(cycles):
         folder = tmp_path / f'run_{cycle}'
-        run = Launched(domain, observer, folder, '--duration', '0.05', watch_memory=True)
+        run = Launched(domain, observer, folder, '--duration', '0.05')
         run.begin()
         code, output = run.end()
         assert code == 0, output

@@ -422,8 +422,9 @@ def test_who_was_held_up_takes_the_newest(run_here, observer, newest):
     assert node.health.lost['configuration'] == 1000 - newest
 
 
-def test_a_target_counts_for_all_states_that_came_after_it(run_here, observer):
-    """Also for one that comes between the executor's wait and the callback of the state before."""
+@pytest.mark.parametrize('order', [('target', 1), (1, 'target', 2)])
+def test_a_target_counts_for_all_states_that_came_after_it(run_here, observer, order):
+    """Though the executor has looked for targets before that one came."""
     node = run_here(LoopNode('encoder', observer.node.context))
     taken = []
     node.create_input('target', lambda _: taken.append('target'))
@@ -434,16 +435,13 @@ def test_a_target_counts_for_all_states_that_came_after_it(run_here, observer):
     }
     for publisher in publishers.values():
         observer.wait(publisher.get_subscription_count, 'the subscription')
-    states = [configuration(stamp) for stamp in (1, 2)]
-    for topic, message in (
-        ('configuration', states[0]),
-        ('target', JointState()),
-        ('configuration', states[1]),
-    ):
-        publishers[topic].publish(message)
-        assert publishers[topic].wait_for_all_acked(Duration(seconds=10))
+    states = {each: configuration(each) for each in order if each != 'target'}
+    for each in order:
+        publisher = publishers[each if each == 'target' else 'configuration']
+        publisher.publish(states.get(each, JointState()))
+        assert publisher.wait_for_all_acked(Duration(seconds=10))
     (subscription,) = (
         each for each in node.subscriptions if each.topic_name.endswith('configuration')
     )
     subscription.callback(*subscription.handle.take_message(JointState, False))
-    assert taken == ['target', *(state.header.stamp for state in states)]
+    assert taken == ['target', *(state.header.stamp for state in states.values())]

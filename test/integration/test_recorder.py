@@ -58,7 +58,9 @@ int clock_gettime(clockid_t clock, struct timespec *time) {
 """
 ENDLESS_PUBLISHER = """
 import time, rclpy
+from dpc_ros.nodes.discovery import use_prompt_dds
 from std_msgs.msg import String
+use_prompt_dds()
 rclpy.init()
 publisher = rclpy.create_node('talker').create_publisher(String, '/lab/chat', 10)
 while True:
@@ -68,6 +70,8 @@ while True:
 
 WORKER = """
 import sys, rclpy
+from dpc_ros.nodes.discovery import use_prompt_dds
+use_prompt_dds()
 rclpy.init()
 node = rclpy.create_node('worker', namespace='/lab')
 node.declare_parameter('number', int(sys.argv[1]))

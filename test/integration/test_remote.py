@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -25,16 +24,11 @@ def run_remote(domain, folder, order, *words, ends=True):
     ) as process:
         process.stdin.write(f'{order}\n')
         process.stdin.flush()
-        output, node = '', None
+        output = ''
         while words and 'configured' not in output:
             line = process.stdout.readline()
             assert line, output
             output += line
-            if found := re.match(r'process \S+/(\d+)$', line):
-                node = int(found[1])
-        if 'kill' in words:
-            assert node is not None, output
-            domain.will_leave_behind(node)
         for word in words:
             process.stdin.write(f'{word}\n')
         process.stdin.flush()

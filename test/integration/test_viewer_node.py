@@ -178,7 +178,6 @@ def test_a_recorder_that_fails_is_told(domain, observer, make_viewer, pages, mon
     observer.node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
     page.actions.record(True)
     observer.wait(lambda: 'viewer_recorder' in processes, 'the recorder')
-    domain.will_leave_behind(processes['viewer_recorder'])
     os.kill(processes['viewer_recorder'], signal.SIGKILL)
     observer.wait(lambda: page.recording == [True, False], 'the end of the log')
     assert page.told == [('ended by SIGKILL', True)]

@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 from domain_coordinator import domain_id
 
-from dpc_ros.nodes.discovery import FAST_DDS_2, PROFILE_VARIABLES, use_prompt_dds
+from dpc_ros.nodes.discovery import (
+    FAST_DDS_2,
+    LOCAL_VARIABLE,
+    PEERS_VARIABLE,
+    PROFILE_VARIABLES,
+    RANGE_VARIABLE,
+    use_prompt_dds,
+)
 from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.resources import config_path
@@ -27,18 +34,85 @@ rclpy.init()
 rclpy.create_node('alone').destroy_node()
 rclpy.shutdown()
 """
+SHARED = """
+import re
+import sys
+from pathlib import Path
+
+import rclpy
+from dpc_ros.nodes.discovery import use_prompt_dds
+from std_msgs.msg import Int64
+
+use_prompt_dds(['--ros-args', '-r', f'__ns:={sys.argv[1]}'])
+rclpy.init()
+node = rclpy.create_node('here')
+node.create_publisher(Int64, 'numbers', 1)
+print(re.findall('/dev/shm/fast.*', Path('/proc/self/maps').read_text()))
+node.destroy_node()
+rclpy.shutdown()
+"""
+# Of ROS, with nothing of ours: the name of whom it hears.
+ANYBODY = """
+import rclpy
+from std_msgs.msg import Int64
+
+rclpy.init()
+node = rclpy.create_node('anybody')
+heard = []
+node.create_subscription(Int64, 'numbers', heard.append, 1)
+while not heard:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(heard[0].data)
+node.destroy_node()
+rclpy.shutdown()
+"""
+SAY = """
+import rclpy
+from dpc_ros.nodes.discovery import use_prompt_dds
+from std_msgs.msg import Int64
+
+use_prompt_dds()
+rclpy.init()
+node = rclpy.create_node('speaker')
+publisher = node.create_publisher(Int64, 'numbers', 1)
+node.create_timer(0.05, lambda: publisher.publish(Int64(data=42)))
+try:
+    rclpy.spin(node)
+except rclpy.executors.ExternalShutdownException:
+    pass
+"""
 
 
 @pytest.fixture(autouse=True)
 def empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in PROFILE_VARIABLES:
-        monkeypatch.delenv(name, raising=False)
+    of_dds = (*PROFILE_VARIABLES, RANGE_VARIABLE, PEERS_VARIABLE, LOCAL_VARIABLE)
+    kept = {name: value for name, value in os.environ.items() if name not in of_dds}
+    monkeypatch.setattr(os, 'environ', kept | {'XDG_CACHE_HOME': str(tmp_path / 'cache')})
     return tmp_path
 
 
 def profiles():
     return {name: os.environ.get(name) for name in PROFILE_VARIABLES}
+
+
+def written():
+    """Return the text of the profile in use."""
+    (profile,) = filter(None, profiles().values())
+    return Path(profile).read_text()
+
+
+def run(script, domain, *arguments, **variables):
+    """Run a script on a domain, return what it says."""
+    done = subprocess.run(
+        [sys.executable, '-c', script, *arguments],
+        env=os.environ | {'ROS_DOMAIN_ID': str(domain)} | variables,
+        stderr=subprocess.STDOUT,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
 
 
 @pytest.mark.parametrize(
@@ -48,34 +122,74 @@ def profiles():
         ('kilted', PROFILE_VARIABLES[1], 'fast_dds_kilted.xml'),
     ],
 )
-def test_the_shipped_profile_is_used(monkeypatch, distribution, variable, profile):
-    monkeypatch.setattr(os, 'environ', os.environ | {'ROS_DISTRO': distribution})
+def test_the_shipped_profile_is_used(distribution, variable, profile):
+    os.environ |= {'ROS_DISTRO': distribution}
     use_prompt_dds()
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: str(config_path(profile))}
 
 
 @pytest.mark.parametrize('distribution', ['jazzy', 'kilted'])
 @pytest.mark.parametrize('given', ['/body_2', 'body_2', '/left/body_2/'])
-def test_the_profile_names_the_topics_of_a_namespace(
-    monkeypatch, empty_folder, distribution, given
-):
-    variables = {'ROS_DISTRO': distribution, 'XDG_CACHE_HOME': str(empty_folder)}
-    monkeypatch.setattr(os, 'environ', os.environ | variables)
+def test_the_profile_names_the_topics_of_a_namespace(distribution, given):
+    os.environ |= {'ROS_DISTRO': distribution}
     use_prompt_dds(['--ros-args', '-r', f'__ns:={given}', '-p', 'rate:=100.0'])
-    (profile,) = filter(None, profiles().values())
     namespace = '/' + given.strip('/')
-    text = Path(profile).read_text()
-    assert re.findall('<data_writer profile_name="(.*)">', text) == [
+    assert re.findall('<data_writer profile_name="(.*)">', written()) == [
         f'{namespace}/{topic}' for topic in ('configuration', 'latent_state', 'control_force')
     ]
 
 
-def test_a_home_that_takes_no_file_is_no_error(monkeypatch, empty_folder):
+@pytest.mark.parametrize('peers', ['', '10.0.0.2', '10.0.0.2;localhost;'])
+def test_where_discovery_is_left_to_some_hosts_a_profile_says_so(peers):
+    os.environ |= {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: peers}
+    use_prompt_dds()
+    assert os.environ[RANGE_VARIABLE] == 'SYSTEM_DEFAULT'
+    named = [name.replace('localhost', '127.0.0.1') for name in peers.split(';') if name]
+    assert re.findall('<address>(.*?)</address>', written()) == ['127.0.0.1', *named]
+
+
+@pytest.mark.parametrize(
+    'variables',
+    [
+        {RANGE_VARIABLE: 'SUBNET', PEERS_VARIABLE: '10.0.0.2'},
+        {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: 'no such host'},
+        {RANGE_VARIABLE: 'LOCALHOST', LOCAL_VARIABLE: '1'},
+        {RANGE_VARIABLE: 'OFF'},
+    ],
+)
+def test_else_discovery_is_left_to_ros(variables):
+    os.environ |= variables
+    use_prompt_dds()
+    assert os.environ[RANGE_VARIABLE] == variables[RANGE_VARIABLE]
+    assert '<address>' not in written()
+
+
+@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
+@pytest.mark.parametrize('namespace', ['/', '/body_2'])
+def test_nodes_share_no_memory(reach, namespace):
+    with domain_id() as domain:
+        assert run(SHARED, domain, namespace, **{RANGE_VARIABLE: reach}) == '[]\n'
+
+
+@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
+def test_nodes_reach_any_program_of_ros(reach):
+    with domain_id() as domain:
+        variables = {'ROS_DOMAIN_ID': str(domain), RANGE_VARIABLE: reach}
+        command = [sys.executable, '-c', SAY]
+        with subprocess.Popen(command, env=os.environ | variables) as speaker:
+            try:
+                assert run(ANYBODY, domain, **{RANGE_VARIABLE: reach}) == '42\n'
+            finally:
+                speaker.terminate()
+
+
+def test_a_home_that_takes_no_file_is_no_error(empty_folder):
     (empty_folder / 'cache').touch()
-    monkeypatch.setenv('XDG_CACHE_HOME', str(empty_folder / 'cache'))
+    os.environ |= {RANGE_VARIABLE: 'LOCALHOST'}
     use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
     (profile,) = filter(None, profiles().values())
     assert profile.startswith(str(config_path('.')))
+    assert os.environ[RANGE_VARIABLE] == 'LOCALHOST'  # ROS sees to it
 
 
 @pytest.mark.parametrize('arguments', [[], ['--ros-args', '-r', '__ns:=/']])
@@ -86,8 +200,8 @@ def test_the_root_is_no_namespace(arguments):
 
 
 @pytest.mark.parametrize('variable', PROFILE_VARIABLES)
-def test_a_profile_of_the_user_is_kept(monkeypatch, variable):
-    monkeypatch.setenv(variable, 'mine.xml')
+def test_a_profile_of_the_user_is_kept(variable):
+    os.environ[variable] = 'mine.xml'
     use_prompt_dds()
     assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: 'mine.xml'}
 
@@ -127,13 +241,4 @@ def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, nam
     profile = empty_folder / name
     profile.write_text(renamed(text) if is_renamed else text)
     with domain_id() as domain:
-        variables = {'ROS_DOMAIN_ID': str(domain), PROFILE_VARIABLES[is_renamed]: str(profile)}
-        command = [sys.executable, '-c', MEET]
-        run = subprocess.run(
-            command,
-            env=os.environ | variables,
-            stderr=subprocess.STDOUT,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-    assert (run.returncode, run.stdout) == (0, '')
+        assert run(MEET, domain, **{PROFILE_VARIABLES[is_renamed]: str(profile)}) == ''

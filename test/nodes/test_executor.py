@@ -81,15 +81,14 @@ class Ros:
         self.context.try_shutdown()
         if any(isinstance(node, LifecycleNode) for node in self.nodes):
             self.nodes.clear()
-            gc.collect()  # it and its services refer to each other, and keep shared memory
+            gc.collect()  # it and its services refer to each other, and keep sockets
 
 
 @pytest.fixture(
     params=[*((name, 0.0) for name in EXECUTORS), ('kept_wait_set', 0.002)],
     ids=[*EXECUTORS, 'gathering'],
 )
-def ros(request, monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+def ros(request, this_host):
     with domain_id() as domain:
         name, gathering_s = request.param
         ros = Ros(name, domain, gathering_s)
@@ -611,7 +610,7 @@ rclpy.try_shutdown()
     # Without rclpy's handlers its own executor hears of the signal only at the next message.
     [('kept_wait_set', 'ALL'), ('kept_wait_set', 'NO'), ('single_threaded', 'ALL')],
 )
-def test_interrupt_ends_an_idle_process(executor, handlers):
+def test_interrupt_ends_an_idle_process(this_host, executor, handlers):
     with domain_id() as domain:
         process = subprocess.Popen(
             [
@@ -619,8 +618,7 @@ def test_interrupt_ends_an_idle_process(executor, handlers):
                 '-c',
                 SPIN_UNTIL_SIGNAL.format(executor=executor, handlers=handlers),
             ],
-            env=os.environ
-            | {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
+            env=os.environ | {'ROS_DOMAIN_ID': str(domain)},
             stdout=subprocess.PIPE,
             text=True,
         )

@@ -13,7 +13,7 @@ from dpc_ros.resources import config_path
 
 
 @pytest.fixture
-def monitor(tmp_path):
+def monitor(this_host, tmp_path):
     with domain_id() as domain:
         context = Context()
         rclpy.init(context=context, domain_id=domain)

@@ -241,9 +241,8 @@ def test_colcon_tree_finds_its_resources(colcon_tree, tmp_path):
 
 
 def test_node_of_the_colcon_tree_becomes_active_and_ends_on_ctrl_c(
-    colcon_tree, tmp_path, monkeypatch
+    this_host, colcon_tree, tmp_path
 ):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with domain_id() as domain:
         local = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         log = tmp_path / 'encoder_node.log'
