@@ -460,8 +460,8 @@ def _of_the_newest(
         subscription: whose callback it is to be.
         callback: takes a message and its info.
         count: of messages.
-        earlier: subscriptions whose messages count for those that came after them. One may have
-            come since the executor has looked at these, and before the first message.
+        earlier: subscriptions whose waiting messages are taken first: they count for whatever is
+            not answered yet. Some may have come after the executor had looked for them.
     """
     most = subscription.qos_profile.depth
 

@@ -12,7 +12,7 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.program import PARENT_VARIABLE
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -61,15 +61,15 @@ class StopRequest:
         return self
 
     def _initialize(self) -> None:
-        use_prompt_dds(self._arguments)
         try:
             others = remove_ros_args(['node', *self._arguments])[1:]
-            rclpy.init(
-                args=self._arguments,
-                context=self.context,
-                domain_id=self._domain,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
+            with prompt_dds(self._arguments):
+                rclpy.init(
+                    args=self._arguments,
+                    context=self.context,
+                    domain_id=self._domain,
+                    signal_handler_options=SignalHandlerOptions.NO,
+                )
         except RuntimeError as error:  # the base of what rclpy raises for bad arguments
             raise ValueError(f'ROS arguments: {str(error).splitlines()[0]}') from error
         if others:  # rclpy would pass over them without a word

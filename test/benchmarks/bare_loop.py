@@ -19,7 +19,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from sensor_msgs.msg import JointState
 
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.messages import to_stamp
 from dpc_ros.nodes.topics import TOPICS
 
@@ -105,8 +105,8 @@ def relay(relays, is_over):
 
 
 def main(trips, file, *kinds):
-    use_prompt_dds()
-    rclpy.init()
+    with prompt_dds():
+        rclpy.init()
     relays = [Leader(kind) if kind == 'simulator' else Relay(kind) for kind in kinds]
     leads = isinstance(relays[0], Leader)
     relay(relays, lambda: leads and len(relays[0].trips) >= int(trips))

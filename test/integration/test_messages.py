@@ -423,7 +423,7 @@ def test_who_was_held_up_takes_the_newest(run_here, observer, newest):
 
 
 @pytest.mark.parametrize('order', [('target', 1), (1, 'target', 2)])
-def test_a_target_counts_for_all_states_that_came_after_it(run_here, observer, order):
+def test_a_target_counts_for_all_states_that_are_not_answered_yet(run_here, observer, order):
     """Though the executor has looked for targets before that one came."""
     node = run_here(LoopNode('encoder', observer.node.context))
     taken = []

@@ -35,6 +35,7 @@ from dpc_ros.bag import (
 )
 from dpc_ros.bag.mcap_file import read_contents, read_messages
 from dpc_ros.network import load_network
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.executor import KeptWaitSetExecutor
 from dpc_ros.nodes.node_parameters import NodeParameters
 from dpc_ros.nodes.player_node import offered_quality
@@ -58,10 +59,10 @@ int clock_gettime(clockid_t clock, struct timespec *time) {
 """
 ENDLESS_PUBLISHER = """
 import time, rclpy
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 from std_msgs.msg import String
-use_prompt_dds()
-rclpy.init()
+with prompt_dds():
+    rclpy.init()
 publisher = rclpy.create_node('talker').create_publisher(String, '/lab/chat', 10)
 while True:
     publisher.publish(String(data='on and on'))
@@ -70,9 +71,9 @@ while True:
 
 WORKER = """
 import sys, rclpy
-from dpc_ros.nodes.discovery import use_prompt_dds
-use_prompt_dds()
-rclpy.init()
+from dpc_ros.nodes.discovery import prompt_dds
+with prompt_dds():
+    rclpy.init()
 node = rclpy.create_node('worker', namespace='/lab')
 node.declare_parameter('number', int(sys.argv[1]))
 rclpy.spin(node)
@@ -413,9 +414,10 @@ def test_what_is_recorded_is_synced_within_the_interval(
     os_fsync = os.fsync
     monkeypatch.setattr(os, 'fsync', fsync)
     context = Context()
-    rclpy.init(
-        context=context, domain_id=domain.number, args=['--ros-args', '-p', f'bag:={folder}']
-    )
+    with prompt_dds():
+        rclpy.init(
+            context=context, domain_id=domain.number, args=['--ros-args', '-p', f'bag:={folder}']
+        )
     node = RecorderNode(context)
     executor = KeptWaitSetExecutor(context=context)
     executor.add_node(node)

@@ -7,18 +7,21 @@ from pathlib import Path
 import pytest
 from domain_coordinator import domain_id
 
+from dpc_ros.nodes import discovery
 from dpc_ros.nodes.discovery import (
-    FAST_DDS_2,
+    FAST_DDS,
     LOCAL_VARIABLE,
     PEERS_VARIABLE,
-    PROFILE_VARIABLES,
     RANGE_VARIABLE,
-    use_prompt_dds,
+    TRANSPORTS_VARIABLE,
+    loaded_fast_dds,
+    prompt_dds,
 )
-from dpc_ros.nodes.provenance import ros_distribution
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.resources import config_path
 
+HERE = loaded_fast_dds()
+VARIABLES = tuple(each.variable for each in FAST_DDS)
 # What the profiles say of it in a comment.
 RENAMED = {
     'heartbeatPeriod': 'heartbeat_period',
@@ -27,10 +30,10 @@ RENAMED = {
 }
 MEET = """
 import rclpy
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 
-use_prompt_dds()
-rclpy.init()
+with prompt_dds():
+    rclpy.init()
 rclpy.create_node('alone').destroy_node()
 rclpy.shutdown()
 """
@@ -40,11 +43,11 @@ import sys
 from pathlib import Path
 
 import rclpy
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 from std_msgs.msg import Int64
 
-use_prompt_dds(['--ros-args', '-r', f'__ns:={sys.argv[1]}'])
-rclpy.init()
+with prompt_dds(['--ros-args', '-r', f'__ns:={sys.argv[1]}']):
+    rclpy.init()
 node = rclpy.create_node('here')
 node.create_publisher(Int64, 'numbers', 1)
 print(re.findall('/dev/shm/fast.*', Path('/proc/self/maps').read_text()))
@@ -68,11 +71,11 @@ rclpy.shutdown()
 """
 SAY = """
 import rclpy
-from dpc_ros.nodes.discovery import use_prompt_dds
+from dpc_ros.nodes.discovery import prompt_dds
 from std_msgs.msg import Int64
 
-use_prompt_dds()
-rclpy.init()
+with prompt_dds():
+    rclpy.init()
 node = rclpy.create_node('speaker')
 publisher = node.create_publisher(Int64, 'numbers', 1)
 node.create_timer(0.05, lambda: publisher.publish(Int64(data=42)))
@@ -86,14 +89,22 @@ except rclpy.executors.ExternalShutdownException:
 @pytest.fixture(autouse=True)
 def empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    of_dds = (*PROFILE_VARIABLES, RANGE_VARIABLE, PEERS_VARIABLE, LOCAL_VARIABLE)
-    kept = {name: value for name, value in os.environ.items() if name not in of_dds}
+    of_dds = (RANGE_VARIABLE, PEERS_VARIABLE, LOCAL_VARIABLE, TRANSPORTS_VARIABLE)
+    dropped = (*VARIABLES, *of_dds)
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
     monkeypatch.setattr(os, 'environ', kept | {'XDG_CACHE_HOME': str(tmp_path / 'cache')})
     return tmp_path
 
 
+def use_prompt_dds(arguments=()):
+    """Return the variables of ROS by which the first context of a process is made."""
+    discovery._given_here.clear()
+    with prompt_dds(arguments):
+        return {name: os.environ.get(name) for name in (RANGE_VARIABLE, LOCAL_VARIABLE)}
+
+
 def profiles():
-    return {name: os.environ.get(name) for name in PROFILE_VARIABLES}
+    return {name: os.environ.get(name) for name in VARIABLES}
 
 
 def written():
@@ -110,28 +121,20 @@ def run(script, domain, *arguments, **variables):
         stderr=subprocess.STDOUT,
         stdout=subprocess.PIPE,
         text=True,
+        timeout=60,
     )
     assert done.returncode == 0, done.stdout
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    ('distribution', 'variable', 'profile'),
-    [
-        ('jazzy', PROFILE_VARIABLES[0], 'fast_dds.xml'),
-        ('kilted', PROFILE_VARIABLES[1], 'fast_dds_kilted.xml'),
-    ],
-)
-def test_the_shipped_profile_is_used(distribution, variable, profile):
-    os.environ |= {'ROS_DISTRO': distribution}
+def test_the_shipped_profile_is_used():
     use_prompt_dds()
-    assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: str(config_path(profile))}
+    shipped = str(config_path(HERE.profile))
+    assert profiles() == dict.fromkeys(VARIABLES) | {HERE.variable: shipped}
 
 
-@pytest.mark.parametrize('distribution', ['jazzy', 'kilted'])
 @pytest.mark.parametrize('given', ['/body_2', 'body_2', '/left/body_2/'])
-def test_the_profile_names_the_topics_of_a_namespace(distribution, given):
-    os.environ |= {'ROS_DISTRO': distribution}
+def test_the_profile_names_the_topics_of_a_namespace(given):
     use_prompt_dds(['--ros-args', '-r', f'__ns:={given}', '-p', 'rate:=100.0'])
     namespace = '/' + given.strip('/')
     assert re.findall('<data_writer profile_name="(.*)">', written()) == [
@@ -142,26 +145,56 @@ def test_the_profile_names_the_topics_of_a_namespace(distribution, given):
 @pytest.mark.parametrize('peers', ['', '10.0.0.2', '10.0.0.2;localhost;'])
 def test_where_discovery_is_left_to_some_hosts_a_profile_says_so(peers):
     os.environ |= {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: peers}
-    use_prompt_dds()
-    assert os.environ[RANGE_VARIABLE] == 'SYSTEM_DEFAULT'
+    assert use_prompt_dds()[RANGE_VARIABLE] == 'SYSTEM_DEFAULT'
     named = [name.replace('localhost', '127.0.0.1') for name in peers.split(';') if name]
     assert re.findall('<address>(.*?)</address>', written()) == ['127.0.0.1', *named]
+    assert os.environ[RANGE_VARIABLE] == 'LOCALHOST'  # for processes that are started from here
+
+
+def test_the_variable_of_older_distributions_counts_for_them_alone():
+    os.environ |= {LOCAL_VARIABLE: '1', PEERS_VARIABLE: '10.0.0.2'}
+    seen, peers = use_prompt_dds(), re.findall('<address>(.*?)</address>', written())
+    assert os.environ[LOCAL_VARIABLE] == '1'
+    if HERE.has_local_variable:
+        assert seen == {RANGE_VARIABLE: 'SYSTEM_DEFAULT', LOCAL_VARIABLE: None}
+        assert peers == ['127.0.0.1']
+    else:
+        assert seen == {RANGE_VARIABLE: None, LOCAL_VARIABLE: '1'}
+        assert not peers
+
+
+def test_a_later_context_that_wants_another_profile_leaves_discovery_to_ros():
+    use_prompt_dds()
+    os.environ[RANGE_VARIABLE] = 'LOCALHOST'
+    with prompt_dds():
+        assert os.environ[RANGE_VARIABLE] == 'LOCALHOST'
 
 
 @pytest.mark.parametrize(
     'variables',
     [
         {RANGE_VARIABLE: 'SUBNET', PEERS_VARIABLE: '10.0.0.2'},
-        {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: 'no such host'},
-        {RANGE_VARIABLE: 'LOCALHOST', LOCAL_VARIABLE: '1'},
+        {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: 'no..such..host'},
         {RANGE_VARIABLE: 'OFF'},
     ],
 )
 def test_else_discovery_is_left_to_ros(variables):
     os.environ |= variables
-    use_prompt_dds()
-    assert os.environ[RANGE_VARIABLE] == variables[RANGE_VARIABLE]
+    assert use_prompt_dds()[RANGE_VARIABLE] == variables[RANGE_VARIABLE]
     assert '<address>' not in written()
+
+
+def test_a_process_adapts_the_profile_of_the_one_that_started_it():
+    os.environ[RANGE_VARIABLE] = 'LOCALHOST'
+    use_prompt_dds()
+    first = written()
+    (cached,) = filter(None, profiles().values())
+    Path(cached).write_text('<dds>')  # or cut short, or gone
+    use_prompt_dds()
+    assert written() == first
+    Path(cached).unlink()
+    use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
+    assert written() == first.replace('profile_name="/', 'profile_name="/body_2/')
 
 
 @pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
@@ -171,25 +204,32 @@ def test_nodes_share_no_memory(reach, namespace):
         assert run(SHARED, domain, namespace, **{RANGE_VARIABLE: reach}) == '[]\n'
 
 
-@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
-def test_nodes_reach_any_program_of_ros(reach):
+def test_nodes_reach_any_program_of_ros():
+    local = {RANGE_VARIABLE: 'LOCALHOST'}
     with domain_id() as domain:
-        variables = {'ROS_DOMAIN_ID': str(domain), RANGE_VARIABLE: reach}
+        variables = {'ROS_DOMAIN_ID': str(domain), **local}
         command = [sys.executable, '-c', SAY]
         with subprocess.Popen(command, env=os.environ | variables) as speaker:
             try:
-                assert run(ANYBODY, domain, **{RANGE_VARIABLE: reach}) == '42\n'
+                assert run(ANYBODY, domain, **local) == '42\n'
             finally:
                 speaker.terminate()
+
+
+def test_a_wrong_name_of_the_distribution_opens_nothing():
+    wrong = 'kilted' if HERE is FAST_DDS[0] else 'jazzy'
+    with domain_id() as domain:
+        variables = {RANGE_VARIABLE: 'LOCALHOST', 'ROS_DISTRO': wrong}
+        assert run(SHARED, domain, '/', **variables) == '[]\n'
 
 
 def test_a_home_that_takes_no_file_is_no_error(empty_folder):
     (empty_folder / 'cache').touch()
     os.environ |= {RANGE_VARIABLE: 'LOCALHOST'}
-    use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
+    seen = use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
     (profile,) = filter(None, profiles().values())
     assert profile.startswith(str(config_path('.')))
-    assert os.environ[RANGE_VARIABLE] == 'LOCALHOST'  # ROS sees to it
+    assert seen[RANGE_VARIABLE] == 'LOCALHOST'  # ROS sees to it
 
 
 @pytest.mark.parametrize('arguments', [[], ['--ros-args', '-r', '__ns:=/']])
@@ -199,18 +239,25 @@ def test_the_root_is_no_namespace(arguments):
     assert profile.startswith(str(config_path('.')))
 
 
-@pytest.mark.parametrize('variable', PROFILE_VARIABLES)
+@pytest.mark.parametrize('variable', VARIABLES)
 def test_a_profile_of_the_user_is_kept(variable):
     os.environ[variable] = 'mine.xml'
     use_prompt_dds()
-    assert profiles() == dict.fromkeys(PROFILE_VARIABLES) | {variable: 'mine.xml'}
+    assert profiles() == dict.fromkeys(VARIABLES) | {variable: 'mine.xml'}
+
+
+@pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
+def test_transports_that_the_user_has_chosen_count(reach):
+    with domain_id() as domain:
+        variables = {RANGE_VARIABLE: reach, TRANSPORTS_VARIABLE: 'DEFAULT'}
+        assert '/dev/shm/fast' in run(SHARED, domain, '/', **variables)
 
 
 @pytest.mark.parametrize('name', ['DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml'])
 def test_a_profile_in_the_working_directory_is_kept(empty_folder, name):
     (empty_folder / name).touch()
     use_prompt_dds()
-    assert profiles() == dict.fromkeys(PROFILE_VARIABLES)
+    assert profiles() == dict.fromkeys(VARIABLES)
 
 
 def test_the_profiles_of_all_distributions_say_the_same():
@@ -236,9 +283,9 @@ def renamed(profile):
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
 def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
-    is_renamed = ros_distribution() not in FAST_DDS_2
     text = config_path(name).read_text()
     profile = empty_folder / name
-    profile.write_text(renamed(text) if is_renamed else text)
+    profile.write_text(text if HERE is FAST_DDS[0] else renamed(text))
     with domain_id() as domain:
-        assert run(MEET, domain, **{PROFILE_VARIABLES[is_renamed]: str(profile)}) == ''
+        variables = {HERE.variable: str(profile), RANGE_VARIABLE: 'LOCALHOST'}
+        assert run(MEET, domain, **variables) == ''

@@ -28,6 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Int64
 from std_srvs.srv import SetBool, Trigger
 
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.executor import KeptWaitSetExecutor, RareCallbackGroup, make_executor
 
 EXECUTORS = ('kept_wait_set', 'single_threaded')
@@ -40,7 +41,8 @@ class Ros:
 
     def __init__(self, executor_name, domain, gathering_s=0.0):
         self.context = Context()
-        self.context.init(args=[], domain_id=domain)
+        with prompt_dds():
+            self.context.init(args=[], domain_id=domain)
         self.executor = make_executor(executor_name, context=self.context, gathering_s=gathering_s)
         self.nodes = []
 
@@ -588,9 +590,11 @@ SPIN_UNTIL_SIGNAL = """
 import os, rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.executor import make_executor
 
-rclpy.init(signal_handler_options=SignalHandlerOptions.{handlers})
+with prompt_dds():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.{handlers})
 node = rclpy.create_node('waiting')
 executor = make_executor('{executor}')
 executor.add_node(node)

@@ -6,6 +6,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.nodes.launch_plan import make_plan
 from dpc_ros.nodes.monitor import Monitor
 from dpc_ros.nodes.topics import TOPICS
@@ -16,7 +17,8 @@ from dpc_ros.resources import config_path
 def monitor(this_host, tmp_path):
     with domain_id() as domain:
         context = Context()
-        rclpy.init(context=context, domain_id=domain)
+        with prompt_dds():
+            rclpy.init(context=context, domain_id=domain)
         monitor = Monitor(make_plan(config_path('demo.yaml'), {}, tmp_path / 'run'), context)
         yield monitor
         monitor.destroy_node()

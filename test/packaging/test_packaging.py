@@ -22,6 +22,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
 import dpc_ros
+from dpc_ros.nodes.discovery import prompt_dds
 from dpc_ros.resources import config_path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -266,7 +267,8 @@ def test_node_of_the_colcon_tree_becomes_active_and_ends_on_ctrl_c(
 def wait_for_active(process, domain):
     """Ask the encoder for its lifecycle state until it is active, it ends, or time is up."""
     context = Context()
-    rclpy.init(context=context, domain_id=domain)
+    with prompt_dds():
+        rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node('packaging_test', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)

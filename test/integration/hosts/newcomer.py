@@ -13,6 +13,8 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 
+from dpc_ros.nodes.discovery import prompt_dds
+
 MARK = 'answer '
 PERIOD = 0.01  # s between two looks at the graph
 ANNOUNCED = 15.0  # s, after which a node announces itself seldom
@@ -22,7 +24,8 @@ GIVE_UP = 400.0  # s
 def time_to_find(names):
     """Return how long a new participant takes until it knows nodes of these names [s]."""
     context = Context()
-    rclpy.init(context=context)
+    with prompt_dds():
+        rclpy.init(context=context)
     began = time.monotonic()
     node = rclpy.create_node('newcomer', context=context)
 
@@ -43,7 +46,8 @@ def answer(content):
 
 
 def main(nodes, count):
-    rclpy.init()
+    with prompt_dds():
+        rclpy.init()
     watcher = rclpy.create_node('watcher')
     reports, deadline = {}, time.monotonic() + GIVE_UP
 

@@ -1,7 +1,6 @@
 """Body, brain and log on three hosts, on a network that is sound, and on some that are not."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -15,7 +14,7 @@ from rosbags.highlevel import AnyReader
 from dpc_ros.bag import LOSSES_RECORD, read_run
 from dpc_ros.bag.convergence import analyse
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
-from dpc_ros.nodes.discovery import PROFILE_VARIABLES
+from dpc_ros.nodes.discovery import loaded_fast_dds
 from dpc_ros.resources import config_path
 
 pytestmark = pytest.mark.faults
@@ -65,8 +64,7 @@ def use_profile(network, tmp_path):
         text = re.sub('(?<=<address>).*(?=</address>)', lambda found: next(given), text)
         path = tmp_path / name
         path.write_text(text)
-        in_use = [variable for variable in PROFILE_VARIABLES if variable in os.environ]
-        network.variables |= dict.fromkeys(in_use, str(path))
+        network.variables[loaded_fast_dds().variable] = str(path)
 
     return use
 
