@@ -129,18 +129,13 @@ def pytest_configure(config):
     config.stash[_PROMISES], config.stash[_SERIES] = {}, {}
 
 
-class _BySubject(LoadScopeScheduling):
-    """Keeps the tests of a file, and all those with processes on DDS, in one of several workers.
-
-    Processes of two tests would wait for each other's turn; those on hosts of their own wait more
-    than they compute.
-    """
+class _ByFile(LoadScopeScheduling):
+    """Keeps the tests of a file, and those on hosts of their own, in one of several workers."""
 
     def _split_scope(self, nodeid):
         if nodeid.startswith('test/integration/hosts/'):
             return 'hosts'
-        is_on_dds = nodeid.startswith(('test/integration/', 'test/nodes/', 'test/packaging/'))
-        return 'dds' if is_on_dds else nodeid.partition('::')[0]
+        return nodeid.partition('::')[0]
 
 
 def pytest_runtest_setup():
@@ -148,7 +143,7 @@ def pytest_runtest_setup():
 
 
 def pytest_xdist_make_scheduler(config, log):
-    return _BySubject(config, log)
+    return _ByFile(config, log)
 
 
 def pytest_generate_tests(metafunc):

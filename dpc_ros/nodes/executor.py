@@ -94,8 +94,8 @@ def take_and_call(subscription: Subscription) -> bool:
 class RareCallbackGroup(MutuallyExclusiveCallbackGroup):
     """A group whose callbacks are in no hurry: while messages come they run only now and then.
 
-    A subscription takes one message each time: of a busy topic it can follow only the newest one,
-    with a depth of one.
+    A subscription takes one message each time: on a busy topic it has a depth of one, or its
+    callback takes the others, too (`newest.of_the_newest`).
     """
 
 

@@ -9,8 +9,8 @@ import os
 import sys
 import time
 import traceback
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor, take_and_call
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -36,6 +36,7 @@ from dpc_ros.nodes.health import (
     diagnostic_array,
 )
 from dpc_ros.nodes.messages import MessageError
+from dpc_ros.nodes.newest import of_the_newest, with_places
 from dpc_ros.nodes.parameters import changed_settings, declare_parameters
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.topics import TOPICS, Topic
@@ -222,11 +223,11 @@ class LoopNode(LifecycleNode):
         """
         entry = TOPICS[topic]
         subscription = self.create_subscription(
-            entry.message_type, topic, callback, entry.qos, raw=raw
+            entry.message_type, topic, callback, with_places(entry.qos), raw=raw
         )
         if newest is not None:
             earlier = tuple(self._inputs)
-            subscription.callback = _of_the_newest(subscription, callback, newest, earlier)
+            subscription.callback = of_the_newest(subscription, callback, newest, earlier)
         self._inputs.append(subscription)
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
@@ -442,44 +443,6 @@ def _fits(offered: QoSProfile, requested: QoSProfile) -> bool:
         offered.reliability == ReliabilityPolicy.RELIABLE
         or requested.reliability == ReliabilityPolicy.BEST_EFFORT
     )
-
-
-def _of_the_newest(
-    subscription: Subscription,
-    callback: Callable[..., None],
-    count: int,
-    earlier: Sequence[Subscription],
-) -> Callable[[Any, dict[str, int]], None]:
-    """Return a callback that leaves out all but so many of the messages that wait for it.
-
-    A subscription of that depth would do the same, but not in Fast DDS: of its room for messages it
-    loses a place whenever one is sent again that is older than all that wait, until none is left.
-    Where there are as many places as the publisher keeps messages, that hardly ever happens.
-
-    Args:
-        subscription: whose callback it is to be.
-        callback: takes a message and its info.
-        count: of messages.
-        earlier: subscriptions whose waiting messages are taken first: they count for whatever is
-            not answered yet. Some may have come after the executor had looked for them.
-    """
-    most = subscription.qos_profile.depth
-
-    def take(message: Any, info: dict[str, int]) -> None:
-        waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
-        for _ in range(most):
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is None:
-                break
-            waiting.append(taken)
-        for each in earlier:
-            for _ in range(each.qos_profile.depth):
-                if not take_and_call(each):
-                    break
-        for message, info in waiting:
-            callback(message, info)
-
-    return take
 
 
 def run_node(make_node: Callable[[Context], LoopNode], arguments: list[str] | None = None) -> int:

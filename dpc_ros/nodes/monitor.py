@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from copy import copy
 from functools import lru_cache, partial
 from typing import Any
 
@@ -16,9 +15,10 @@ from rclpy.subscription import Subscription
 from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import RareCallbackGroup
+from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp, is_latent
+from dpc_ros.nodes.newest import of_the_newest, with_places
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.nodes.wire import Pattern, state_pattern
 
@@ -74,7 +74,8 @@ class Monitor(Node):
     def close(self) -> None:
         """End the bar with what came last; the nodes are about to finish."""
         self._refresh.cancel()
-        self._take_what_is_left()
+        for subscription in self._inputs.values():
+            take_and_call(subscription)
         self._show()
         self._bar.set_description_str('finishing')
         self._bar.close()
@@ -107,20 +108,20 @@ class Monitor(Node):
             self.destroy_subscription(self._first)
 
     def _subscribe(self, topic: str) -> Subscription:
-        entry = TOPICS[topic]
-        qos = copy(entry.qos)
-        qos.depth = 1  # only the newest is of interest
-        keep = partial(self._newest.__setitem__, topic)
-        return self.create_subscription(
-            entry.message_type, topic, keep, qos, callback_group=self._group, raw=True
+        entry, qos = TOPICS[topic], with_places(TOPICS[topic].qos)
+        subscription = self.create_subscription(
+            entry.message_type,
+            topic,
+            partial(self._keep, topic),
+            qos,
+            callback_group=self._group,
+            raw=True,
         )
+        subscription.callback = of_the_newest(subscription, subscription.callback, 1)
+        return subscription
 
-    def _take_what_is_left(self) -> None:
-        for topic, subscription in self._inputs.items():
-            with subscription.handle:
-                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is not None:
-                self._newest[topic], _ = taken
+    def _keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+        self._newest[topic] = data
 
     def _read_state(self) -> tuple[float | None, np.ndarray]:
         """Return time [s] and configuration [m] of the newest state; no time where there is none.

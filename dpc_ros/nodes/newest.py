@@ -1,17 +1,68 @@
-"""What someone who only looks on hears of a running loop: the newest message of each topic."""
+"""The newest messages of a topic: for who was held up, and for who only looks on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
+from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from dpc_ros.nodes.executor import RareCallbackGroup
+from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
 from dpc_ros.nodes.topics import TOPICS
+
+_PLACES = 100  # for messages, at least
+
+
+def with_places(qos: QoSProfile) -> QoSProfile:
+    """Return a quality for a subscription, with room for many messages however few are needed.
+
+    Of its room Fast DDS loses a place for good whenever a message comes that is older than all that
+    wait, as one that is sent again, until none is left and nothing comes any more.
+    """
+    roomy = copy(qos)
+    roomy.depth = max(qos.depth, _PLACES)
+    return roomy
+
+
+def of_the_newest(
+    subscription: Subscription,
+    callback: Callable[..., None],
+    count: int,
+    earlier: Sequence[Subscription] = (),
+) -> Callable[[Any, dict[str, int]], None]:
+    """Return a callback that leaves out all but so many of the messages that wait for it.
+
+    A subscription of that depth would do the same, but not in Fast DDS (`with_places`).
+
+    Args:
+        subscription: whose callback it is to be; its messages are taken as it asks for them.
+        callback: takes a message and its info.
+        count: of messages.
+        earlier: subscriptions whose waiting messages are taken first: they count for whatever is
+            not answered yet. Some may have come after the executor had looked for them.
+    """
+    most = subscription.qos_profile.depth
+
+    def take(message: Any, info: dict[str, int]) -> None:
+        waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
+        for _ in range(most):
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                break
+            waiting.append(taken)
+        for each in earlier:
+            for _ in range(each.qos_profile.depth):
+                if not take_and_call(each):
+                    break
+        for message, info in waiting:
+            callback(message, info)
+
+    return take
 
 
 class NewestMessages:
