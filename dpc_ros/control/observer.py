@@ -16,7 +16,7 @@ from dpc_ros.control.stamps import LONGEST_GAP, NANOSECOND
 from dpc_ros.finite import all_finite
 from dpc_ros.network import Gravity, MassSpringNetwork, Mechanics
 from dpc_ros.parameters import ParameterError
-from dpc_ros.reduction import CompressedSystem, DivergenceError, simulate_compressed
+from dpc_ros.reduction import CompressedSystem, DivergenceError, rk4_step
 
 _LONGEST_STEP = 0.01  # s, of a prediction
 _DIFFERENCE = 1e-5  # of a state, for the derivative of the dynamics
@@ -169,7 +169,7 @@ class LatentObserver:
         then = self._stamp + round(self.delay / NANOSECOND)
         try:
             return self._flow(self._state, self._stamp, then)
-        except DivergenceError:
+        except (DivergenceError, np.linalg.LinAlgError):
             return self._state
 
     def _begin(
@@ -184,7 +184,7 @@ class LatentObserver:
     ) -> tuple[State, np.ndarray]:
         m = self.system.latent_size
         start, transition = state, np.eye(2 * m)
-        for duration, force in self._pieces(begin, end):
+        for duration, force in self._steps(begin, end):
             transition = self._transition(state, duration, force) @ transition
             state = self._advance(state, duration, force)
         covariance = transition @ covariance @ transition.T
@@ -192,25 +192,37 @@ class LatentObserver:
 
     def _flow(self, state: State, begin: int, end: int) -> State:
         """Return a state moved on from one time to another [ns]."""
-        for duration, force in self._pieces(begin, end):
+        for duration, force in self._steps(begin, end):
             state = self._advance(state, duration, force)
         return state
 
-    def _pieces(self, begin: int, end: int) -> Iterator[tuple[float, np.ndarray]]:
-        """Yield durations [s], each a step of the prediction, and the force [N] acting in each."""
+    def _steps(self, begin: int, end: int) -> Iterator[tuple[float, Float[np.ndarray, ' 2']]]:
+        """Yield equal durations [s] between two times [ns], and the mean force [N] in each."""
+        count = math.ceil((end - begin) * NANOSECOND / _LONGEST_STEP - 1e-9)
+        edges = [begin + (end - begin) * k // count for k in range(count + 1)] if count else []
+        for first, last in pairwise(edges):
+            yield (last - first) * NANOSECOND, self._mean_force(first, last)
+
+    def _mean_force(self, begin: int, end: int) -> Float[np.ndarray, ' 2']:
         delay = round(self.delay / NANOSECOND)
-        changes = sorted({begin, end} | {stamp + delay for stamp, _ in self._forces})
-        changes = [time for time in changes if begin <= time <= end]
-        for first, last in pairwise(changes):
-            acting = [force for stamp, force in self._forces if stamp + delay <= first]
-            duration = (last - first) * NANOSECOND
-            steps = max(math.ceil(duration / _LONGEST_STEP - 1e-9), 1)
-            for _ in range(steps):
-                yield duration / steps, acting[-1] if acting else np.zeros(2)
+        acting = [(begin, np.zeros(2))]
+        for stamp, force in self._forces:
+            if stamp + delay <= begin:
+                acting = [(begin, force)]
+            elif stamp + delay < end:
+                acting.append((stamp + delay, force))
+        if len(acting) == 1:
+            return acting[0][1]
+        times = [time for time, _ in acting] + [end]
+        share = np.diff(times) / (end - begin)
+        return share @ np.array([force for _, force in acting])
 
     def _advance(self, state: State, duration: float, force: np.ndarray) -> State:
-        run = simulate_compressed(self.system, *state, duration, 1, force)
-        return run.latent[-1], run.velocity[-1]
+        with np.errstate(all='ignore'):  # what is not finite is told below
+            latent, velocity = rk4_step(self.system, *state, force, duration)
+        if not (all_finite(latent) and all_finite(velocity)):
+            raise DivergenceError(f'a prediction of {duration:g} s left every bound')
+        return latent, velocity
 
     def _transition(
         self, state: State, duration: float, force: np.ndarray

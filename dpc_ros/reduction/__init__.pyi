@@ -6,6 +6,7 @@ from .simulation import (
     DivergenceError,
     LatentTrajectory,
     UnsolvedStepError,
+    rk4_step,
     simulate_compressed,
 )
 
@@ -15,5 +16,6 @@ __all__ = [
     'DivergenceError',
     'LatentTrajectory',
     'UnsolvedStepError',
+    'rk4_step',
     'simulate_compressed',
 ]

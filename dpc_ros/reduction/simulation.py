@@ -129,13 +129,25 @@ def _diverged(k: int, step: float) -> DivergenceError:
 State = tuple[np.ndarray, np.ndarray]
 
 
-def _rk4_step(
+def rk4_step(
     system: CompressedSystem,
     latent: Float[np.ndarray, '*batch m'],
     velocity: Float[np.ndarray, '*batch m'],
     force: Float[np.ndarray, ' 2'],
     step: float,
 ) -> State:
+    """Return the state after one classical Runge–Kutta step of order four; nothing is checked.
+
+    Args:
+        system: the compressed system.
+        latent: ξ before it, of one trajectory or of several.
+        velocity: ξ̇ before it [1/s].
+        force: u [N], held over the step.
+        step: its length [s].
+
+    Raises:
+        LinAlgError: the mass matrix is singular, or its values are not finite.
+    """
     forces = np.broadcast_to(force, (*latent.shape[:-1], 2))
 
     def acceleration(xi: np.ndarray, xi_dot: np.ndarray) -> np.ndarray:
@@ -214,6 +226,6 @@ def _middle_velocity(
 
 
 METHODS: dict[str, Callable[..., State]] = {
-    'rk4': _rk4_step,
+    'rk4': rk4_step,
     'implicit_midpoint': _implicit_midpoint_step,
 }

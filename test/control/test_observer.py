@@ -129,6 +129,21 @@ def test_an_estimate_is_for_the_moment_when_its_answer_acts(small_system):
             np.testing.assert_array_equal(estimate, (run.latent[-1], run.velocity[-1]))
 
 
+def test_a_prediction_has_the_mean_force_of_each_of_its_steps(small_system):
+    observer = LatentObserver(small_system(3), ObserverSettings(delay=3 * STEP))
+    observer.update(*START, 0)
+    forces = np.array([[1.0, -2.0], [3.0, 0.5]])
+    for k, force in enumerate(forces):
+        observer.acted(k * NANOSECONDS, force)
+    begin = 5 * NANOSECONDS // 2  # half a step before the first force acts
+    expected = [0.5 * forces[0], 0.5 * (forces[0] + forces[1]), forces[1]]
+    steps = [*observer._steps(begin, begin + 3 * NANOSECONDS)]
+    for (duration, force), mean in zip(steps, expected, strict=True):
+        assert duration == pytest.approx(STEP)
+        np.testing.assert_allclose(force, mean, rtol=1e-12)
+    assert not [*observer._steps(begin, begin)]
+
+
 def test_a_force_counts_once(small_system):
     once, twice = (LatentObserver(small_system(3), NOISE) for _ in range(2))
     for observer, forces in ((once, 1), (twice, 2)):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from domain_coordinator import domain_id
+from this_host import for_fast_dds_3
 
 from dpc_ros.nodes import discovery
 from dpc_ros.nodes.discovery import (
@@ -22,12 +23,6 @@ from dpc_ros.resources import config_path
 
 HERE = loaded_fast_dds()
 VARIABLES = tuple(each.variable for each in FAST_DDS)
-# What the profiles say of it in a comment.
-RENAMED = {
-    'heartbeatPeriod': 'heartbeat_period',
-    'nackResponseDelay': 'nack_response_delay',
-    'heartbeatResponseDelay': 'heartbeat_response_delay',
-}
 MEET = """
 import rclpy
 from dpc_ros.nodes.discovery import prompt_dds
@@ -265,7 +260,7 @@ def test_the_profiles_of_all_distributions_say_the_same():
         re.sub('<!--.*?-->', '', config_path(name).read_text(), flags=re.DOTALL)
         for name in ('fast_dds.xml', 'fast_dds_kilted.xml')
     )
-    assert renamed(old) == new
+    assert for_fast_dds_3(old) == new
 
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])
@@ -275,17 +270,11 @@ def test_writers_of_the_loop_ask_soon_what_is_missing(name):
     assert {*written} < {*TOPICS}
 
 
-def renamed(profile):
-    for old, new in RENAMED.items():
-        profile = profile.replace(f'{old}>', f'{new}>')
-    return profile
-
-
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
 def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
     text = config_path(name).read_text()
     profile = empty_folder / name
-    profile.write_text(text if HERE is FAST_DDS[0] else renamed(text))
+    profile.write_text(text if HERE is FAST_DDS[0] else for_fast_dds_3(text))
     with domain_id() as domain:
         variables = {HERE.variable: str(profile), RANGE_VARIABLE: 'LOCALHOST'}
         assert run(MEET, domain, **variables) == ''
