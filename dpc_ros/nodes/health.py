@@ -17,6 +17,7 @@ from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.window import RoundTrips, Window, jitter, percentiles
 
 DIAGNOSTICS = '/diagnostics'  # topic
+REPORT_DEPTH = 100  # messages; of so many nodes one may come at the same time
 ADDRESS_READING = 'address'  # of the page that a node serves
 PAUSED_READING = 'paused'  # whether a node was told to hold what it moves
 HOST_READING = 'host'

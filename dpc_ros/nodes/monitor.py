@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from copy import copy
 from functools import lru_cache, partial
 from typing import Any
 
@@ -108,16 +109,14 @@ class Monitor(Node):
             self.destroy_subscription(self._first)
 
     def _subscribe(self, topic: str) -> Subscription:
-        entry, qos = TOPICS[topic], with_places(TOPICS[topic].qos)
+        entry = TOPICS[topic]
+        qos = copy(entry.qos)
+        qos.depth = 1  # only the newest is of interest
+        keep = partial(self._keep, topic)
         subscription = self.create_subscription(
-            entry.message_type,
-            topic,
-            partial(self._keep, topic),
-            qos,
-            callback_group=self._group,
-            raw=True,
+            entry.message_type, topic, keep, with_places(qos), callback_group=self._group, raw=True
         )
-        subscription.callback = of_the_newest(subscription, subscription.callback, 1)
+        subscription.callback = of_the_newest(subscription, keep, 1)
         return subscription
 
     def _keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:

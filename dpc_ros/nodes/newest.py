@@ -21,8 +21,9 @@ _PLACES = 100  # for messages, at least
 def with_places(qos: QoSProfile) -> QoSProfile:
     """Return a quality for a subscription, with room for many messages however few are needed.
 
-    Of its room Fast DDS loses a place for good whenever a message comes that is older than all that
-    wait, as one that is sent again, until none is left and nothing comes any more.
+    Of its room Fast DDS loses a place for good whenever, while all are taken, a message comes that
+    is older than those, as one that is sent again: until none is left and nothing comes any more.
+    With many places that hardly ever happens.
     """
     roomy = copy(qos)
     roomy.depth = max(qos.depth, _PLACES)
@@ -110,13 +111,16 @@ class NewestMessages:
     def _subscribe(self, topic: str) -> Subscription:
         entry = TOPICS[topic]
         qos = copy(entry.qos)
-        qos.depth = 1
-        if qos.durability == DurabilityPolicy.VOLATILE:
-            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        is_latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if not is_latched:
+            qos.depth, qos.reliability = 1, ReliabilityPolicy.BEST_EFFORT
         keep = partial(self._keep, topic)
-        return self._node.create_subscription(
+        subscription = self._node.create_subscription(
             entry.message_type, topic, keep, qos, callback_group=self._group, raw=True
         )
+        if is_latched:
+            subscription.callback = of_the_newest(subscription, keep, 1)
+        return subscription
 
     def _keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         self._newest[topic] = data

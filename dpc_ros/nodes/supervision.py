@@ -13,6 +13,7 @@ from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     HOST_READING,
     PROCESS_READING,
+    REPORT_DEPTH,
     identity,
 )
 from dpc_ros.nodes.launch_plan import RECORDER, LaunchPlan
@@ -55,7 +56,7 @@ class Supervision:
         self._looked_at = time.monotonic()
         self.failure = ''
         self.exit_code = 0
-        monitor.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, 10)
+        monitor.create_subscription(DiagnosticArray, DIAGNOSTICS, self._hear, REPORT_DEPTH)
 
     def is_over(self) -> bool:
         """See to the nodes; return whether the leader has come to its end, or the run failed."""

@@ -12,14 +12,13 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from dpc_ros.nodes.executor import make_executor
-from dpc_ros.nodes.health import DIAGNOSTICS
+from dpc_ros.nodes.health import DIAGNOSTICS, REPORT_DEPTH
 from dpc_ros.nodes.loop_node import spin_until
 from dpc_ros.nodes.reports import Reports
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.top_table import table
 
 _PERIOD = 1.0  # s, of the reports and so of the table
-REPORT_DEPTH = 100  # messages; of so many nodes one may come at the same time
 _CLEAR = '\x1b[H\x1b[J'  # to the upper left corner, erase from there on (ECMA-48)
 
 

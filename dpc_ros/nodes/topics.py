@@ -38,7 +38,7 @@ IN_FORCE_QOS = QoSProfile(
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic's type and quality of service, the same on both ends."""
+    """A topic's type and quality of service; who subscribes may keep more messages, or fewer."""
 
     message_type: type[Any]
     qos: QoSProfile

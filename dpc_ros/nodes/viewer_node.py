@@ -24,7 +24,7 @@ from dpc_ros.control.online import load_system
 from dpc_ros.network import Mechanics
 from dpc_ros.nodes.commands import Commands
 from dpc_ros.nodes.executor import RareCallbackGroup
-from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS, PAUSED_READING
+from dpc_ros.nodes.health import ADDRESS_READING, DIAGNOSTICS, PAUSED_READING, REPORT_DEPTH
 from dpc_ros.nodes.loop_node import LoopNode, run_node, set_period
 from dpc_ros.nodes.messages import MessageError
 from dpc_ros.nodes.newest import NewestMessages
@@ -33,7 +33,6 @@ from dpc_ros.nodes.onlooker import Onlooker, Sight
 from dpc_ros.nodes.recording import Recording
 from dpc_ros.nodes.refusals import Refusals
 from dpc_ros.nodes.reports import Report, Reports
-from dpc_ros.nodes.top import REPORT_DEPTH
 from dpc_ros.parameters import declarations
 from dpc_ros.view import Frame, LivePage, address, open_server
 

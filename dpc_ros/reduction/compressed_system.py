@@ -176,7 +176,8 @@ class CompressedSystem:
     @staticmethod
     def _rows(what: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """Return one row for each state, as the kernel takes them: it checks no bounds."""
-        if value.shape != shape:  # the call alone takes a tenth of an acceleration
+        value = np.asarray(value)
+        if value.shape != shape:  # `broadcast_to` takes as long as a tenth of an acceleration
             try:
                 value = np.broadcast_to(value, shape)
             except ValueError:

@@ -129,6 +129,20 @@ def test_an_estimate_is_for_the_moment_when_its_answer_acts(small_system):
             np.testing.assert_array_equal(estimate, (run.latent[-1], run.velocity[-1]))
 
 
+def test_forces_that_change_within_a_step_of_the_prediction_count_by_their_mean(small_system):
+    system, half, delay = small_system(3), STEP / 2, 14
+    forces = np.column_stack([np.sin(np.arange(40) / 5), np.cos(np.arange(40) / 7)])
+    acting = np.vstack([np.zeros((delay, 2)), forces])
+    run = simulate_compressed(system, *START, half, 40, acting[:40])
+    observer = LatentObserver(system, ObserverSettings(delay=delay * half))
+    for k in range(40 - delay):
+        observer.update(run.latent[k], run.velocity[k], k * NANOSECONDS // 2)
+        error = np.subtract(observer.ahead(), (run.latent[k + delay], run.velocity[k + delay]))
+        jacobian = system.autoencoder.decoder_jacobian(run.latent[k + delay])
+        assert np.abs(jacobian @ error[0]).max() < 0.2 * observer.settings.position_noise
+        observer.acted(k * NANOSECONDS // 2, forces[k])
+
+
 def test_a_prediction_has_the_mean_force_of_each_of_its_steps(small_system):
     observer = LatentObserver(small_system(3), ObserverSettings(delay=3 * STEP))
     observer.update(*START, 0)

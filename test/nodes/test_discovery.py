@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from domain_coordinator import domain_id
-from this_host import for_fast_dds_3
+from profiles import for_fast_dds_3
 
 from dpc_ros.nodes import discovery
 from dpc_ros.nodes.discovery import (

@@ -90,7 +90,7 @@ class Ros:
     params=[*((name, 0.0) for name in EXECUTORS), ('kept_wait_set', 0.002)],
     ids=[*EXECUTORS, 'gathering'],
 )
-def ros(request, this_host):
+def ros(request):
     with domain_id() as domain:
         name, gathering_s = request.param
         ros = Ros(name, domain, gathering_s)
@@ -614,7 +614,7 @@ rclpy.try_shutdown()
     # Without rclpy's handlers its own executor hears of the signal only at the next message.
     [('kept_wait_set', 'ALL'), ('kept_wait_set', 'NO'), ('single_threaded', 'ALL')],
 )
-def test_interrupt_ends_an_idle_process(this_host, executor, handlers):
+def test_interrupt_ends_an_idle_process(executor, handlers):
     with domain_id() as domain:
         process = subprocess.Popen(
             [

@@ -14,7 +14,7 @@ from dpc_ros.resources import config_path
 
 
 @pytest.fixture
-def monitor(this_host, tmp_path):
+def monitor(tmp_path):
     with domain_id() as domain:
         context = Context()
         with prompt_dds():

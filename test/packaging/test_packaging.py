@@ -241,9 +241,7 @@ def test_colcon_tree_finds_its_resources(colcon_tree, tmp_path):
     assert not found['rclpy']
 
 
-def test_node_of_the_colcon_tree_becomes_active_and_ends_on_ctrl_c(
-    this_host, colcon_tree, tmp_path
-):
+def test_node_of_the_colcon_tree_becomes_active_and_ends_on_ctrl_c(colcon_tree, tmp_path):
     with domain_id() as domain:
         local = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
         log = tmp_path / 'encoder_node.log'

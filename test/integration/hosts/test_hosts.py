@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 import psutil
 import pytest
+from profiles import for_fast_dds_3
 from rosbags.highlevel import AnyReader
-from this_host import for_fast_dds_3
 
 from dpc_ros.bag import LOSSES_RECORD, read_run
-from dpc_ros.bag.convergence import analyse
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
 from dpc_ros.nodes.discovery import FAST_DDS, loaded_fast_dds
 from dpc_ros.resources import config_path
@@ -200,7 +199,6 @@ def test_realtime_on_a_bad_network(
     if DELAY in orders:  # to the brain, and back
         assert float(health['encoder']['measured delay [ms]'][-1]) > 20
         assert float(health['encoder']['foreseen delay [ms]'][-1]) >= 20
-        assert analyse(run).final_nmse < 0.5  # what no control does is 1
     if is_cut:
         assert free > TIMEOUT
         for node, stale in STALE.items():
