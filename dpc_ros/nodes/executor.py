@@ -95,7 +95,7 @@ class RareCallbackGroup(MutuallyExclusiveCallbackGroup):
     """A group whose callbacks are in no hurry: while messages come they run only now and then.
 
     A subscription takes one message each time: on a busy topic it has a depth of one, or its
-    callback takes the others, too (`newest.of_the_newest`).
+    callback takes the others, too (`newest.subscribe`).
     """
 
 

@@ -131,8 +131,10 @@ def run_processes(plan: LaunchPlan, stop: StopRequest) -> Outcome:
         if supervision.failure:
             _bring_to_rest(plan, processes, monitor, executor)
     finally:
-        monitor.close()
-        failed_at_the_end = processes.stop()
+        try:
+            monitor.close()
+        finally:  # whatever becomes of the bar, as where nobody reads it any more
+            failed_at_the_end = processes.stop()
         executor.shutdown()
         monitor.destroy_node()
     return Outcome(

@@ -36,7 +36,7 @@ from dpc_ros.nodes.health import (
     diagnostic_array,
 )
 from dpc_ros.nodes.messages import MessageError
-from dpc_ros.nodes.newest import of_the_newest, with_places
+from dpc_ros.nodes.newest import subscribe
 from dpc_ros.nodes.parameters import changed_settings, declare_parameters
 from dpc_ros.nodes.stop import StopRequest
 from dpc_ros.nodes.topics import TOPICS, Topic
@@ -221,14 +221,8 @@ class LoopNode(LifecycleNode):
                 if not all; it then takes their info, too.
             raw: whether it takes the bytes of a message instead.
         """
-        entry = TOPICS[topic]
-        subscription = self.create_subscription(
-            entry.message_type, topic, callback, with_places(entry.qos), raw=raw
-        )
-        if newest is not None:
-            earlier = tuple(self._inputs)
-            subscription.callback = of_the_newest(subscription, callback, newest, earlier)
-        self._inputs.append(subscription)
+        earlier = tuple(self._inputs)
+        self._inputs.append(subscribe(self, topic, callback, newest, raw, earlier))
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.

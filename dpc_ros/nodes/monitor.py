@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from copy import copy
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,14 +11,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from tqdm import tqdm
 
 from dpc_ros.bag.topic import NANOSECONDS
 from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
 from dpc_ros.nodes.launch_plan import LAUNCHER, MONITORED, LaunchPlan
 from dpc_ros.nodes.messages import from_stamp, is_latent
-from dpc_ros.nodes.newest import of_the_newest, with_places
+from dpc_ros.nodes.newest import subscribe
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.nodes.wire import Pattern, state_pattern
 
@@ -39,10 +37,11 @@ class Monitor(Node):
         self._first = self.create_subscription(
             entry.message_type, 'configuration', self._begin, entry.qos, raw=True
         )
-        self._group = RareCallbackGroup()
-        self._inputs = {
-            topic: self._subscribe(topic) for topic in (*MONITORED, 'target', 'target_in_force')
-        }
+        group = RareCallbackGroup()
+        self._inputs = [
+            subscribe(self, topic, partial(self._keep, topic), 1, raw=True, group=group)
+            for topic in (*MONITORED, 'target', 'target_in_force')
+        ]
         endless = not np.isfinite(plan.duration)
         self._bar = tqdm(
             total=None if endless else plan.duration,
@@ -75,7 +74,7 @@ class Monitor(Node):
     def close(self) -> None:
         """End the bar with what came last; the nodes are about to finish."""
         self._refresh.cancel()
-        for subscription in self._inputs.values():
+        for subscription in self._inputs:
             take_and_call(subscription)
         self._show()
         self._bar.set_description_str('finishing')
@@ -107,17 +106,6 @@ class Monitor(Node):
             if len(state.position):
                 self._states = state_pattern(state.header.frame_id, len(state.position), state.name)
             self.destroy_subscription(self._first)
-
-    def _subscribe(self, topic: str) -> Subscription:
-        entry = TOPICS[topic]
-        qos = copy(entry.qos)
-        qos.depth = 1  # only the newest is of interest
-        keep = partial(self._keep, topic)
-        subscription = self.create_subscription(
-            entry.message_type, topic, keep, with_places(qos), callback_group=self._group, raw=True
-        )
-        subscription.callback = of_the_newest(subscription, keep, 1)
-        return subscription
 
     def _keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         self._newest[topic] = data

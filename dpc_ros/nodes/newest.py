@@ -8,8 +8,9 @@ from copy import copy
 from functools import partial
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
@@ -18,34 +19,52 @@ from dpc_ros.nodes.topics import TOPICS
 _PLACES = 100  # for messages, at least
 
 
-def with_places(qos: QoSProfile) -> QoSProfile:
-    """Return a quality for a subscription, with room for many messages however few are needed.
+def subscribe(
+    node: Node,
+    topic: str,
+    callback: Callable[..., None],
+    newest: int | None = None,
+    raw: bool = False,
+    earlier: Sequence[Subscription] = (),
+    group: CallbackGroup | None = None,
+) -> Subscription:
+    """Subscribe to a topic of the loop, with room for many messages however few are needed.
 
     Of its room Fast DDS loses a place for good whenever, while all are taken, a message comes that
     is older than those, as one that is sent again: until none is left and nothing comes any more.
     With many places that hardly ever happens.
+
+    Args:
+        node: whose subscription it is to be.
+        topic: its name.
+        callback: takes a message, and its info where it has a second argument.
+        newest: how many it takes of the messages that wait for it, if not all; it then takes their
+            info, too.
+        raw: whether it takes the bytes of a message instead.
+        earlier: subscriptions whose waiting messages are taken before those newest ones: they count
+            for whatever is not answered yet. Some may have come after the executor had looked.
+        group: of the callback, if not that of the node.
     """
-    roomy = copy(qos)
-    roomy.depth = max(qos.depth, _PLACES)
-    return roomy
+    entry = TOPICS[topic]
+    qos = copy(entry.qos)
+    qos.depth = max(qos.depth, _PLACES)
+    subscription = node.create_subscription(
+        entry.message_type, topic, callback, qos, callback_group=group, raw=raw
+    )
+    if newest is not None:
+        subscription.callback = _of_the_newest(subscription, callback, newest, earlier)
+    return subscription
 
 
-def of_the_newest(
+def _of_the_newest(
     subscription: Subscription,
     callback: Callable[..., None],
     count: int,
-    earlier: Sequence[Subscription] = (),
+    earlier: Sequence[Subscription],
 ) -> Callable[[Any, dict[str, int]], None]:
     """Return a callback that leaves out all but so many of the messages that wait for it.
 
-    A subscription of that depth would do the same, but not in Fast DDS (`with_places`).
-
-    Args:
-        subscription: whose callback it is to be; its messages are taken as it asks for them.
-        callback: takes a message and its info.
-        count: of messages.
-        earlier: subscriptions whose waiting messages are taken first: they count for whatever is
-            not answered yet. Some may have come after the executor had looked for them.
+    A subscription of that depth would do the same, but not in Fast DDS (`subscribe`).
     """
     most = subscription.qos_profile.depth
 
@@ -109,18 +128,14 @@ class NewestMessages:
         return taken
 
     def _subscribe(self, topic: str) -> Subscription:
-        entry = TOPICS[topic]
+        entry, keep = TOPICS[topic], partial(self._keep, topic)
+        if entry.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            return subscribe(self._node, topic, keep, newest=1, raw=True, group=self._group)
         qos = copy(entry.qos)
-        is_latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        if not is_latched:
-            qos.depth, qos.reliability = 1, ReliabilityPolicy.BEST_EFFORT
-        keep = partial(self._keep, topic)
-        subscription = self._node.create_subscription(
+        qos.depth, qos.reliability = 1, ReliabilityPolicy.BEST_EFFORT
+        return self._node.create_subscription(
             entry.message_type, topic, keep, qos, callback_group=self._group, raw=True
         )
-        if is_latched:
-            subscription.callback = of_the_newest(subscription, keep, 1)
-        return subscription
 
     def _keep(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         self._newest[topic] = data

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dpc_ros.nodes.health import NO_WATCHDOG, WATCHDOG_OK
+from dpc_ros.nodes.health import HOST_READING, NO_WATCHDOG, WATCHDOG_OK
 from dpc_ros.nodes.reports import Report
 
 _NOTHING = '–'
@@ -32,7 +32,7 @@ _COLUMNS = (
 
 
 def table(reports: Sequence[Report], now: float) -> str:
-    """Return a row for each node, and below them what is wrong.
+    """Return a row for each node, with its host where there are several, and below what is wrong.
 
     Args:
         reports: of the nodes.
@@ -47,14 +47,17 @@ def table(reports: Sequence[Report], now: float) -> str:
         units.append(f'{column.unit:>{column.width}}')
     titles.append(f'{"watchdog":>10}{"heard":>9}')
     units.append(f'{"":>10}{"[s] ago":>9}')
+    hosts = [_value(report, HOST_READING)[:_LONGEST_NAME] for report in reports]
+    are_several = len({*hosts} - {_NOTHING}) > 1
+    if are_several:
+        titles.append('  host')
     lines = [''.join(titles), ''.join(units)]
-    for name, report in zip(names, reports, strict=True):
+    for name, host, report in zip(names, hosts, reports, strict=True):
         cells = [f'{_value(report, column.key):>{column.width}}' for column in _COLUMNS]
         state = 'silent' if report.is_silent(now) else _value(report, 'state')
         heard = f'{now - report.time:.1f}' if report.values else _NOTHING
-        lines.append(
-            f'{name:<{width}}  {state[:12]:<12}{"".join(cells)}{_watchdog(report):>10}{heard:>9}'
-        )
+        row = f'{name:<{width}}  {state[:12]:<12}{"".join(cells)}{_watchdog(report):>10}{heard:>9}'
+        lines.append(f'{row}  {host}' if are_several else row)
     problems = [
         f'{name}: {_printable(report.problem)}'
         for name, report in zip(names, reports, strict=True)

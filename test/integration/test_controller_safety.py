@@ -1,5 +1,6 @@
 """A controller that nobody has to watch: what it refuses, when it falls silent, how it solves."""
 
+import json
 import math
 import os
 import signal
@@ -350,6 +351,32 @@ def test_the_loop_goes_on_while_another_process_solves(domain, observer, gate):
     code, output = domain.stop(controller.process)
     assert code == 0, output
     assert is_gone(solver)
+
+
+def test_a_controller_reports_while_it_solves_for_its_first_target(
+    domain, observer, gate, tmp_path
+):
+    """As long as it may take: nobody is to take the node for one that hangs."""
+    states = []
+
+    def hear(message):
+        values = {each.key: each.value for each in message.status[0].values}
+        states.append(values['state'])
+
+    observer.node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
+    target = tmp_path / 'target.json'
+    target.write_text(json.dumps({'latent': [1.0, 0.0, 0.0, 0.0, 0.0]}))
+    parameters = ('law:=gated', 'solve_in_background:=true', f'target:={target}')
+    arguments = (part for each in parameters for part in ('-p', each))
+    controller = domain.start('controller_node', '--ros-args', *arguments)
+    observer.wait((gate / 'solved').exists, 'it to solve')
+    states.clear()
+    observer.wait(lambda: len(states) > 2, 'reports')
+    assert {*states} == {'configuring'}
+    (gate / 'open').touch()
+    observer.wait(lambda: states[-1] == 'active', 'the end of its configuration')
+    code, output = domain.stop(controller)
+    assert code == 0, output
 
 
 @pytest.mark.faults(

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -472,6 +473,36 @@ def test_nodes_on_other_hosts_crash_and_hang_again_and_again(
     assert len(read_run(there / 'run' / 'bag_2').configuration) > 20
     for bag in ('bag', 'bag_1'):
         repair(there / 'run' / bag, tmp_path / bag)
+
+
+def test_ctrl_c_ends_nodes_on_other_hosts_and_keeps_their_log(
+    domain, observer, tmp_path, there, elsewhere
+):
+    run = Launched(domain, observer, tmp_path / 'run', *elsewhere(), '--duration', '0')
+    run.begin(*NODES)
+    advance(observer, run.stamps)
+    run.launcher.send_signal(signal.SIGINT)
+    code, output = run.end()
+    assert code == 130, output
+    assert len(read_run(there / 'run' / 'bag').configuration) > 20
+    logs = [log.read_text() for log in (tmp_path / 'run' / 'log').iterdir()]
+    assert 'Traceback' not in '\n'.join([output, *logs])
+    run.assert_nothing_is_left()
+
+
+def test_where_the_link_to_a_host_ends_the_run_does(domain, observer, tmp_path, there, elsewhere):
+    """As where ssh ends; the node ends by itself, since it hears no more of its launcher."""
+    run = Launched(domain, observer, tmp_path / 'run', *elsewhere(), '--duration', '0')
+    run.begin(*NODES)
+    advance(observer, run.stamps)
+    controller = psutil.Process(run.processes['controller'])
+    controller.parent().kill()
+    code, output = run.end()
+    assert code == 255, output
+    assert 'error: controller: the link to brain ended: ' in output
+    assert len(read_run(there / 'run' / 'bag').configuration) > 20
+    observer.wait(lambda: not controller.is_running(), 'the end of the controller')
+    run.assert_nothing_is_left()
 
 
 def environment_of(run, name):

@@ -11,11 +11,12 @@ from dpc_ros.nodes.top_table import table
 LATE = LONGEST_SILENCE + 1
 
 
-def status(node='/encoder', process=1, message='active', level=DiagnosticStatus.OK):
+def status(node='/encoder', process=1, message='active', level=DiagnosticStatus.OK, host='here'):
     made = Health().report(node.rpartition('/')[2], node, 'active')
     made.message, made.level = message, level
-    made.values = [pair for pair in made.values if pair.key != 'process id']
-    made.values.append(KeyValue(key='process id', value=str(process)))
+    own = {'process id': str(process), 'host': host}
+    made.values = [pair for pair in made.values if pair.key not in own]
+    made.values += [KeyValue(key=key, value=value) for key, value in own.items()]
     return made
 
 
@@ -52,6 +53,18 @@ def test_two_processes_of_one_name_are_both_shown_until_one_replaces_the_other()
     assert rows(reports, LATE) == [('/encoder', 'active')]
 
 
+def test_hosts_are_shown_where_there_are_several():
+    reports = Reports()
+    reports.take(status('/encoder'), 0)
+    reports.take(status('/controller'), 0)
+    reports.see(['/player'], 0)
+    assert 'here' not in table(reports.newest(0), 0)
+    reports.take(status('/simulator', host='there'), 0)
+    title, _, *shown = table(reports.newest(0), 0).splitlines()
+    assert title.split()[-1] == 'host'
+    assert [line.split()[-1] for line in shown] == ['here', 'here', '–', 'there']
+
+
 def test_only_the_nodes_of_the_namespace_are_shown():
     reports = Reports('body')
     assert not reports.take(status('/encoder'), 0)
@@ -71,10 +84,11 @@ def test_nodes_that_report_in_another_way_are_left_out():
 @given(letters=st.text(min_size=1, max_size=20))
 def test_nothing_that_a_node_says_moves_the_cursor(letters):
     reports = Reports()
-    reports.take(status(f'/{letters}', 1, letters, DiagnosticStatus.WARN), 0)
+    reports.take(status('/another'), 0)
+    reports.take(status(f'/{letters}', 1, letters, DiagnosticStatus.WARN, host=letters), 0)
     shown = table(reports.newest(0), 0)
     assert shown.replace('\n', '').isprintable()
-    assert len(shown.split('\n')) == 5
+    assert len(shown.split('\n')) == 6
 
 
 def test_many_names_fill_no_memory():
