@@ -156,7 +156,7 @@ class ControlLaw(ABC):
     @property
     def saturated(self) -> bool:
         """Whether the bound has shortened the last force."""
-        return bool(self.excess.any())
+        return bool(np.count_nonzero(self.excess))  # faster than `any`
 
     def restart(self) -> None:
         """Begin anew: forget what the law keeps between steps, but not its target."""

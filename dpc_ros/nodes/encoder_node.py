@@ -67,7 +67,7 @@ class EncoderNode(LoopNode):
     def activate(self) -> None:
         self._begin_anew()
         self._came_at: float | None = None
-        self._watchdog = self.create_timer(_WATCH_PERIOD, self._watch, clock=self._steady_clock)
+        self._watchdog = self.create_rare_timer(_WATCH_PERIOD, self._watch)
 
     def deactivate(self) -> None:
         if self._watchdog is not None:

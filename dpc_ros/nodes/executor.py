@@ -439,7 +439,9 @@ class KeptWaitSetExecutor(Executor):
 
     def _wait(self, timeout_sec: float) -> bool:
         """Wait for ready entities and line them up; return False if the entities have changed."""
-        if not self._context.ok():
+        is_held = self._holds_between_waits and self._kept is not None
+        # Where all is held the wait tells: a shutdown triggers the guard.
+        if not (is_held or self._context.ok()):
             raise ExternalShutdownException
         if self._gathering_s:
             time.sleep(self._gathering_s)
@@ -462,7 +464,7 @@ class KeptWaitSetExecutor(Executor):
             )
             if self._is_shutdown:
                 return True
-            if guards_ready and not self._context.ok():  # a shutdown triggers the guard
+            if guards_ready and not self._context.ok():
                 raise ExternalShutdownException
             if guard.handle.pointer in guards_ready and self._entities() != every.entities:
                 self._forget_wait_set()

@@ -28,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import KeptWaitSetExecutor, make_executor
+from dpc_ros.nodes.executor import KeptWaitSetExecutor, RareCallbackGroup, make_executor
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -99,6 +99,7 @@ class LoopNode(LifecycleNode):
         self.active = False
         self._configured = False
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._rare = RareCallbackGroup()
         self._outputs: list[Publisher] = []
         self._inputs: list[Subscription] = []
         self._matched = False
@@ -108,7 +109,7 @@ class LoopNode(LifecycleNode):
         self._error: Exception | None = None  # that it met while it started by itself
         self._serve_transitions()
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        self.create_timer(_DIAGNOSTIC_PERIOD, self.report, clock=self._steady_clock)
+        self.create_rare_timer(_DIAGNOSTIC_PERIOD, self.report)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
 
@@ -223,6 +224,17 @@ class LoopNode(LifecycleNode):
         """
         earlier = tuple(self._inputs)
         self._inputs.append(subscribe(self, topic, callback, newest, raw, earlier))
+
+    def create_rare_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Return a timer that may be late by a few messages, and costs them nothing.
+
+        Args:
+            period: [s].
+            callback: what it calls.
+        """
+        return self.create_timer(
+            period, callback, callback_group=self._rare, clock=self._steady_clock
+        )
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.

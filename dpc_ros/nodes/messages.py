@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 
 from dpc_ros.bag.force_frame import ForceFrame, force_frame, read_force_frame
 from dpc_ros.bag.topic import LATENT_PREFIX, NANOSECONDS
-from dpc_ros.finite import all_finite
+from dpc_ros.finite import all_finite, all_within
 
 if TYPE_CHECKING:
     from dpc_ros.control import Controllers
@@ -203,8 +203,8 @@ def check_within(values: Float[np.ndarray, ' k'], largest: float, what: str, uni
     Raises:
         MessageError: one is.
     """
-    found = float(np.abs(values).max())
-    if not found <= largest:
+    if not all_within(values, largest):
+        found = float(np.abs(values).max())
         raise MessageError(f'expected a {what} of at most {largest:g} {unit}, got {found:g}')
 
 

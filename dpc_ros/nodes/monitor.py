@@ -49,9 +49,8 @@ class Monitor(Node):
             mininterval=_REFRESH,
         )
         self._bar.set_description_str('waiting for the nodes')
-        self._refresh = self.create_timer(
-            _REFRESH, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._refresh = self.create_timer(_REFRESH, self._show, group, steady_clock)
 
     @property
     def seconds(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
@@ -17,6 +18,7 @@ from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
 from dpc_ros.nodes.topics import TOPICS
 
 _PLACES = 100  # for messages, at least
+_HELD_UP_NS = 1_000_000  # for which a message has waited where others may wait behind it [ns]
 
 
 def subscribe(
@@ -68,13 +70,18 @@ def _of_the_newest(
     """
     most = subscription.qos_profile.depth
 
-    def take(message: Any, info: dict[str, int]) -> None:
-        waiting: deque[tuple[Any, dict[str, int]]] = deque([(message, info)], maxlen=count)
+    def take_waiting(message: Any, info: dict[str, int]) -> deque[tuple[Any, dict[str, int]]]:
+        waiting = deque([(message, info)], maxlen=count)
         for _ in range(most):
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
             if taken is None:
                 break
             waiting.append(taken)
+        return waiting
+
+    def take(message: Any, info: dict[str, int]) -> None:
+        was_held_up = time.time_ns() - info['received_timestamp'] > _HELD_UP_NS
+        waiting = take_waiting(message, info) if was_held_up else ((message, info),)
         for each in earlier:
             for _ in range(each.qos_profile.depth):
                 if not take_and_call(each):

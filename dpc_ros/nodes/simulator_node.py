@@ -106,9 +106,7 @@ class SimulatorNode(LoopNode):
     def activate(self) -> None:
         self._published_at = self.steady_time()
         self._begin_waiting()
-        self._watchdog = self.create_timer(
-            self.settings['resend_interval'] / 2, self._watch, clock=self._steady_clock
-        )
+        self._watchdog = self.create_rare_timer(self.settings['resend_interval'] / 2, self._watch)
         self._publish_state()
 
     def deactivate(self) -> None:

@@ -75,7 +75,7 @@ class Pattern:
         self._begin = begin
         self._count = arrays[-1].stop
         self._arrays = arrays
-        self._numbers = self._numbers_of(self._message)
+        self._views = [self._numbers_of(self._message)[place] for place in arrays]
         free = [slice(len(_ENCODING), len(_ENCODING) + _STAMP.size)]
         free += [
             slice(begin + _NUMBER * each.start, begin + _NUMBER * each.stop) for each in arrays
@@ -88,8 +88,8 @@ class Pattern:
     def write(self, stamp: int, *arrays: Float[np.ndarray, ' k']) -> bytes:
         """Return the message of a stamp [ns]."""
         _STAMP.pack_into(self._message, len(_ENCODING), *divmod(stamp, NANOSECONDS))
-        for place, array in zip(self._arrays, arrays, strict=True):
-            self._numbers[place] = array
+        for view, array in zip(self._views, arrays, strict=True):
+            view[:] = array
         return bytes(self._message)
 
     def read(self, data: bytes) -> tuple[Any, ...] | None:
@@ -104,7 +104,7 @@ class Pattern:
         if seconds < 0 or rest >= NANOSECONDS or not all_finite(numbers):
             return None
         stamp = seconds * NANOSECONDS + rest
-        return (stamp, *(numbers[place] for place in self._arrays))
+        return (stamp, *[numbers[place] for place in self._arrays])
 
     def _numbers_of(self, data: bytes | bytearray) -> np.ndarray:
         return np.frombuffer(data, count=self._count, offset=self._begin)

@@ -443,5 +443,6 @@ def test_a_target_counts_for_all_states_that_are_not_answered_yet(run_here, obse
     (subscription,) = (
         each for each in node.subscriptions if each.topic_name.endswith('configuration')
     )
-    subscription.callback(*subscription.handle.take_message(JointState, False))
+    while (found := subscription.handle.take_message(JointState, False)) is not None:
+        subscription.callback(*found)
     assert taken == ['target', *(state.header.stamp for state in states.values())]
