@@ -1,4 +1,8 @@
-"""Whether numbers are finite, for code that asks of every message."""
+"""Whether numbers are finite, or within a bound, for code that asks of every message.
+
+The sum of squares is found sooner than each value looked at, by `vdot` without a warning of what
+overflows.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,6 @@ import math
 
 import numpy as np
 from jaxtyping import Float
-
-# The sum of squares is found sooner than each value looked at, by `vdot` without a warning of what
-# overflows.
 
 
 def all_finite(values: Float[np.ndarray, ' k']) -> bool:

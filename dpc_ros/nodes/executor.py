@@ -53,7 +53,7 @@ from rclpy.waitable import NumberOfEntities
 LONGEST_WAIT_S = 0.1
 
 # While messages come, services and what else is rare is looked at as often as this.
-_RARE_PERIOD = 0.02  # s
+RARE_PERIOD = 0.02  # s
 
 _LARGEST_BATCH = 1000  # messages of one subscription in a row, so that none starves the others
 
@@ -439,22 +439,21 @@ class KeptWaitSetExecutor(Executor):
 
     def _wait(self, timeout_sec: float) -> bool:
         """Wait for ready entities and line them up; return False if the entities have changed."""
-        is_held = self._holds_between_waits and self._kept is not None
-        # Where all is held the wait tells: a shutdown triggers the guard.
-        if not (is_held or self._context.ok()):
-            raise ExternalShutdownException
         if self._gathering_s:
             time.sleep(self._gathering_s)
         guard, interrupt = self._guard, self._sigint_gc
         if guard is None or interrupt is None:
             return True
         if self._kept is None or self._urgent is None:
+            self._check_context()
             entities = self._entities()
             urgent = [entity for entity in entities if _is_urgent(entity)]
             self._kept = _KeptWaitSet(entities, [guard, interrupt], self._context)
             self._urgent = _KeptWaitSet(urgent, [guard, interrupt], self._context)
         every = self._kept
         kept, timeout_sec = self._next_wait(every, self._urgent, timeout_sec)
+        if kept is every:  # to ask each time costs more than to look for a message
+            self._check_context()
         # Only a suspended coroutine, or a callback that spins itself, keeps a group busy.
         restricted = bool(self._tasks) or self._running > 0
         try:
@@ -464,8 +463,8 @@ class KeptWaitSetExecutor(Executor):
             )
             if self._is_shutdown:
                 return True
-            if guards_ready and not self._context.ok():
-                raise ExternalShutdownException
+            if guards_ready:  # a shutdown triggers the guard
+                self._check_context()
             if guard.handle.pointer in guards_ready and self._entities() != every.entities:
                 self._forget_wait_set()
                 return False
@@ -475,8 +474,12 @@ class KeptWaitSetExecutor(Executor):
                 kept.release()
         self._ready.extend(ready)
         if kept is every and any(entity.kind == 'subscription' for entity in ready):
-            self._urgent_until = time.monotonic() + _RARE_PERIOD
+            self._urgent_until = time.monotonic() + RARE_PERIOD
         return True
+
+    def _check_context(self) -> None:
+        if not self._context.ok():
+            raise ExternalShutdownException
 
     def _next_wait(
         self, every: _KeptWaitSet, urgent: _KeptWaitSet, timeout_sec: float

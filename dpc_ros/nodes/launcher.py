@@ -135,8 +135,8 @@ def run_processes(plan: LaunchPlan, stop: StopRequest) -> Outcome:
             monitor.close()
         finally:  # whatever becomes of the bar, as where nobody reads it any more
             failed_at_the_end = processes.stop()
-        executor.shutdown()
-        monitor.destroy_node()
+            executor.shutdown()
+            monitor.destroy_node()
     return Outcome(
         supervision.failure or failed_at_the_end,
         supervision.exit_code or int(bool(failed_at_the_end)),
@@ -205,11 +205,13 @@ def _run_composed(plan: LaunchPlan, stop: StopRequest) -> Outcome:
         traceback.print_exc()
         crash = f'unexpected {type(error).__name__}: {error}'
     finally:
-        monitor.close()
-        executor.shutdown()
-        monitor.destroy_node()
-        for node in nodes.values():
-            node.close()
+        try:
+            monitor.close()
+        finally:
+            executor.shutdown()
+            monitor.destroy_node()
+            for node in nodes.values():
+                node.close()
     failures = [f'{kind}: {node.failure}' for kind, node in nodes.items() if node.failure]
     failure = crash or (failures[0] if failures else '')
     return Outcome(failure, 1 if failure else 0, bags=[plan.bag] if plan.bag else [])

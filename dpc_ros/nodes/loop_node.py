@@ -28,7 +28,12 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from dpc_ros.bag.topic import NANOSECONDS
-from dpc_ros.nodes.executor import KeptWaitSetExecutor, RareCallbackGroup, make_executor
+from dpc_ros.nodes.executor import (
+    RARE_PERIOD,
+    KeptWaitSetExecutor,
+    RareCallbackGroup,
+    make_executor,
+)
 from dpc_ros.nodes.health import (
     DIAGNOSTICS,
     Health,
@@ -69,6 +74,8 @@ class LoopNode(LifecycleNode):
     `set_parameters_atomically` is taken as a whole or refused as a whole, with the reason: each
     value is held against its declaration, then `check_change` sees them together, then `change`
     applies them.
+
+    Its callbacks must run one after the other, in one thread, as they do in `make_executor`'s.
 
     Attributes:
         acts_to_the_end: whether it goes on while it is finishing (a recorder does).
@@ -218,23 +225,22 @@ class LoopNode(LifecycleNode):
         Args:
             topic: its name.
             callback: takes the message, and its info where it has a second argument.
-            newest: how many it takes of those that have come while the node was busy or stopped,
-                if not all; it then takes their info, too.
+            newest: how many it takes of those that wait while the node is held up, if not all; it
+                then takes their info, too.
             raw: whether it takes the bytes of a message instead.
         """
         earlier = tuple(self._inputs)
         self._inputs.append(subscribe(self, topic, callback, newest, raw, earlier))
 
     def create_rare_timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        """Return a timer that may be late by a few messages, and costs them nothing.
+        """Return a timer that may be late by `RARE_PERIOD` while messages come.
 
         Args:
-            period: [s].
+            period: [s]; where it is shorter than that the timer is one as any other.
             callback: what it calls.
         """
-        return self.create_timer(
-            period, callback, callback_group=self._rare, clock=self._steady_clock
-        )
+        group = self._rare if period >= RARE_PERIOD else None
+        return self.create_timer(period, callback, group, self._steady_clock)
 
     def receive(self, topic: str, info: dict[str, int]) -> bool:
         """Count a message and those lost before it; return whether the node acts on messages.

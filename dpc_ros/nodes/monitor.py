@@ -74,7 +74,8 @@ class Monitor(Node):
         """End the bar with what came last; the nodes are about to finish."""
         self._refresh.cancel()
         for subscription in self._inputs:
-            take_and_call(subscription)
+            while take_and_call(subscription):
+                pass
         self._show()
         self._bar.set_description_str('finishing')
         self._bar.close()

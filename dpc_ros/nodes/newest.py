@@ -18,7 +18,7 @@ from dpc_ros.nodes.executor import RareCallbackGroup, take_and_call
 from dpc_ros.nodes.topics import TOPICS
 
 _PLACES = 100  # for messages, at least
-_HELD_UP_NS = 1_000_000  # for which a message has waited where others may wait behind it [ns]
+_HELD_UP_NS = 1_000_000  # behind a message that has waited for longer others are looked for [ns]
 
 
 def subscribe(
@@ -40,8 +40,8 @@ def subscribe(
         node: whose subscription it is to be.
         topic: its name.
         callback: takes a message, and its info where it has a second argument.
-        newest: how many it takes of the messages that wait for it, if not all; it then takes their
-            info, too.
+        newest: how many it takes of the messages that wait for it, if not all, once one has waited
+            for a millisecond; it then takes their info, too.
         raw: whether it takes the bytes of a message instead.
         earlier: subscriptions whose waiting messages are taken before those newest ones: they count
             for whatever is not answered yet. Some may have come after the executor had looked.
@@ -80,8 +80,8 @@ def _of_the_newest(
         return waiting
 
     def take(message: Any, info: dict[str, int]) -> None:
-        was_held_up = time.time_ns() - info['received_timestamp'] > _HELD_UP_NS
-        waiting = take_waiting(message, info) if was_held_up else ((message, info),)
+        has_just_come = 0 <= time.time_ns() - info['received_timestamp'] <= _HELD_UP_NS
+        waiting = ((message, info),) if has_just_come else take_waiting(message, info)
         for each in earlier:
             for _ in range(each.qos_profile.depth):
                 if not take_and_call(each):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from process_state import is_gone
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -260,15 +261,6 @@ def children(process):
         for task in Path(f'/proc/{process.pid}/task').iterdir()
         for each in (task / 'children').read_text().split()
     ]
-
-
-def is_gone(number):
-    """Return whether a process has ended, waited for or not."""
-    try:
-        state = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()[0]
-    except OSError:
-        return True
-    return state == 'Z'
 
 
 @pytest.mark.faults(

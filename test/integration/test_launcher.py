@@ -13,6 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from process_state import is_gone
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
@@ -487,21 +488,35 @@ def test_ctrl_c_ends_nodes_on_other_hosts_and_keeps_their_log(
     assert len(read_run(there / 'run' / 'bag').configuration) > 20
     logs = [log.read_text() for log in (tmp_path / 'run' / 'log').iterdir()]
     assert 'Traceback' not in '\n'.join([output, *logs])
+    assert all(map(is_gone, run.processes.values()))
     run.assert_nothing_is_left()
 
 
 def test_where_the_link_to_a_host_ends_the_run_does(domain, observer, tmp_path, there, elsewhere):
-    """As where ssh ends; the node ends by itself, since it hears no more of its launcher."""
+    """As where ssh ends; the node there ends by itself, as what had started it is gone."""
     run = Launched(domain, observer, tmp_path / 'run', *elsewhere(), '--duration', '0')
     run.begin(*NODES)
     advance(observer, run.stamps)
-    controller = psutil.Process(run.processes['controller'])
-    controller.parent().kill()
+    psutil.Process(run.processes['controller']).parent().kill()
     code, output = run.end()
     assert code == 255, output
     assert 'error: controller: the link to brain ended: ' in output
     assert len(read_run(there / 'run' / 'bag').configuration) > 20
-    observer.wait(lambda: not controller.is_running(), 'the end of the controller')
+    observer.wait(lambda: all(map(is_gone, run.processes.values())), 'the end of the nodes')
+    run.assert_nothing_is_left()
+
+
+@pytest.mark.parametrize('options', [[], ['--composed']], ids=['processes', 'composed'])
+def test_a_log_is_whole_though_nobody_reads_what_the_launcher_says(
+    domain, observer, tmp_path, options
+):
+    run = Launched(domain, observer, tmp_path / 'run', '--duration', '0', *options)
+    run.begin()
+    advance(observer, run.stamps)
+    run.launcher.stdout.close()  # where its bar goes
+    observer.wait(run.has_ended, 'the end of the run')
+    assert run.launcher.returncode not in (0, 130)
+    assert len(read_run(tmp_path / 'run' / 'bag').configuration) > 20
     run.assert_nothing_is_left()
 
 

@@ -1,6 +1,7 @@
 """What a node does with a message that it can't use: it reports and goes on."""
 
 import itertools
+import time
 from array import array
 
 import numpy as np
@@ -420,6 +421,29 @@ def test_who_was_held_up_takes_the_newest(run_here, observer, newest):
     observer.wait(lambda: taken[-1] == 1001, 'the message after them')
     assert taken == [0, *range(1001 - newest, 1002)]
     assert node.health.lost['configuration'] == 1000 - newest
+
+
+@pytest.mark.parametrize(
+    ('waited', 'expected'),
+    [(0.0, [1]), (0.01, [3]), (-10.0, [3])],  # the last by a clock that was set back
+)
+def test_newer_ones_are_looked_for_behind_what_has_waited(run_here, observer, waited, expected):
+    node = run_here(LoopNode('encoder', observer.node.context))
+    taken = []
+    node.create_input('configuration', lambda message, _: taken.append(message.header.stamp), 1)
+    publisher = observer.node.create_publisher(JointState, 'configuration', LOOP_QOS)
+    observer.wait(publisher.get_subscription_count, 'the subscription')
+    states = {each: configuration(each) for each in (1, 2, 3)}
+    for state in states.values():
+        publisher.publish(state)
+    assert publisher.wait_for_all_acked(Duration(seconds=10))
+    (subscription,) = (
+        each for each in node.subscriptions if each.topic_name.endswith('configuration')
+    )
+    message, info = subscription.handle.take_message(JointState, False)
+    info['received_timestamp'] = time.time_ns() - round(waited * 1e9)
+    subscription.callback(message, info)
+    assert taken == [states[each].header.stamp for each in expected]
 
 
 @pytest.mark.parametrize('order', [('target', 1), (1, 'target', 2)])

@@ -609,12 +609,27 @@ rclpy.try_shutdown()
 """
 
 
+@pytest.mark.parametrize('ros', [('kept_wait_set', 0.0)], indirect=True)
+def test_a_shutdown_ends_each_spin_that_follows(ros):
+    ros.node('idle')
+    ros.executor.spin_once(timeout_sec=0.0)
+    ros.context.shutdown()
+    for spin in (ros.executor.spin_once, lambda: ros.executor.spin_until(lambda: False)):
+        with pytest.raises(ExternalShutdownException):
+            spin()
+
+
 @pytest.mark.parametrize(
-    ('executor', 'handlers'),
+    ('executor', 'handlers', 'number'),
     # Without rclpy's handlers its own executor hears of the signal only at the next message.
-    [('kept_wait_set', 'ALL'), ('kept_wait_set', 'NO'), ('single_threaded', 'ALL')],
+    [
+        ('kept_wait_set', 'ALL', signal.SIGINT),
+        ('kept_wait_set', 'ALL', signal.SIGTERM),
+        ('kept_wait_set', 'NO', signal.SIGINT),
+        ('single_threaded', 'ALL', signal.SIGINT),
+    ],
 )
-def test_interrupt_ends_an_idle_process(executor, handlers):
+def test_a_signal_ends_an_idle_process(executor, handlers, number):
     with domain_id() as domain:
         process = subprocess.Popen(
             [
@@ -627,7 +642,7 @@ def test_interrupt_ends_an_idle_process(executor, handlers):
             text=True,
         )
         try:
-            os.kill(int(process.stdout.readline()), signal.SIGINT)
+            os.kill(int(process.stdout.readline()), number)
             output, _ = process.communicate(timeout=GIVE_UP_S)
         finally:
             process.kill()
