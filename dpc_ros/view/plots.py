@@ -38,7 +38,7 @@ class Plots:
         self._time_scale: Scale = {'time': False}
         if span is not None:
             self._time_scale['range'] = span
-        self._nmse = self._add('nMSE [–]', ['nMSE'], logarithmic=True)
+        self._nmse = self._add('log₁₀ nMSE [–]', ['log₁₀ nMSE'])
         latents = [subscripted('ξ', i) for i in range(latent_size)]
         self._latent = (
             self._add(
@@ -56,7 +56,8 @@ class Plots:
         curves = history.curves()
         time = curves.time
         nmse = curves.nmse[:, np.newaxis]
-        self._nmse.data = _thinned(time, np.where(nmse > 0, nmse, np.nan))
+        # Of a logarithmic axis uPlot rounds what is small to 0.
+        self._nmse.data = _thinned(time, np.log10(np.where(nmse > 0, nmse, np.nan)))
         if self._latent is not None:
             self._latent.data = _thinned(time, np.hstack([curves.latent, curves.target_latent]))
         self._force.data = _thinned(time, curves.force)
@@ -68,7 +69,6 @@ class Plots:
         names: list[str],
         dashed: Sequence[str] = (),
         *,
-        logarithmic: bool = False,
         legend: bool = False,
     ) -> GuiUplotHandle:
         series: list[Series] = [{'label': 't [s]'}]
@@ -82,7 +82,7 @@ class Plots:
             data=(empty, *(one for _ in series[1:])),
             series=tuple(series),
             title=title,
-            scales={'x': self._time_scale, 'y': {'distr': 3 if logarithmic else 1}},
+            scales={'x': self._time_scale},
             height=_HEIGHT,
             legend={'show': legend, 'live': False},
         )
