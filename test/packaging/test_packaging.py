@@ -39,6 +39,8 @@ EXECUTABLES = (
 NO_SOURCE = ('build', 'install', 'log', 'dist', 'runs', 'bags', 'docs')
 STARTUP_TIMEOUT = 120.0  # s, for a node that compiles its kernels
 STOP_TIMEOUT = 30.0  # s
+# The command of that name may be in a virtual environment beneath this one.
+COLCON = 'import sys; from colcon_core.command import main; sys.exit(main())'
 # Prints from another process where an installed package is and what it finds.
 PROBE = """
 import json, sys
@@ -136,7 +138,7 @@ class ColconTree:
     def colcon(self, verb, *options):
         """Run colcon over the source tree."""
         return run(
-            *(Path(sys.executable).parent / 'colcon', '--log-base', self.workspace / 'log'),
+            *(sys.executable, '-c', COLCON, '--log-base', self.workspace / 'log'),
             *(verb, '--base-paths', self.source, *options),
             cwd=self.workspace,
             env=self._environment(),
