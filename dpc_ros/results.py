@@ -15,6 +15,7 @@ from typing import Any
 
 from dpc_ros import __version__
 from dpc_ros.files import replacing
+from dpc_ros.machine import describe_machine
 
 
 def write_results(
@@ -31,8 +32,8 @@ def write_results(
         'command': command_line(),
         'commit': source_commit(),
         'created': datetime.datetime.now(datetime.timezone.utc).isoformat(timespec='seconds'),
-        'machine': f'{platform.machine()}, {os.cpu_count()} cores, Python '
-        f'{platform.python_version()}, dpc_ros {__version__}',
+        'machine': f'{describe_machine()["processor"]}, {os.cpu_count()} cores, '
+        f'{platform.machine()}, Python {platform.python_version()}, dpc_ros {__version__}',
         'seed': seed,
         'rows': [{key: _plain(value) for key, value in row.items()} for row in rows],
     }

@@ -28,6 +28,7 @@ PAGES = (
     'performance.md',
     '../README.md',
 )
+_SHORT = 10  # characters of a commit
 _BLOCK = re.compile(r'(<!-- table (\w+) from (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
@@ -60,7 +61,8 @@ def with_tables(text: str, results: Path) -> str:
             raise ValueError(f'no table {name!r}: expected one of {sorted(_TABLES)}')
         content = json.loads((results / f'{source}.json').read_text())
         rows = content['rows']
-        origin = f'`{source}.json`: `{content["command"]}`.'
+        commit, machine = str(content['commit'])[:_SHORT], content['machine']
+        origin = f'`{source}.json`: `{content["command"]}`, commit {commit}, on {machine}.'
         if any('commit' in row for row in rows):  # they were measured by several commands
             origin = f'`{source}.json`, which has the commit of each row.'
         return f'{match.group(1)}\n{_TABLES[name](rows)}\nFrom {origin}\n\n{match.group(4)}'
