@@ -588,7 +588,6 @@ def test_shutdown_by_another_thread_ends_spin(ros, what):
 
 SPIN_UNTIL_SIGNAL = """
 import os, rclpy
-from contextlib import suppress
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from dpc_ros.nodes.discovery import prompt_dds
@@ -600,9 +599,11 @@ node = rclpy.create_node('waiting')
 executor = make_executor('{executor}')
 executor.add_node(node)
 timer = node.create_timer(0.01, lambda: (timer.cancel(), print(os.getpid(), flush=True)))
-with suppress(KeyboardInterrupt, ExternalShutdownException):
-    executor.spin()  # after a shutdown between two callbacks it returns
-print('ended', flush=True)
+try:
+    executor.spin()
+    print('shut down', flush=True)
+except (KeyboardInterrupt, ExternalShutdownException):
+    print('interrupted', flush=True)
 executor.shutdown()
 node.destroy_node()
 rclpy.try_shutdown()
@@ -647,7 +648,8 @@ def test_a_signal_ends_an_idle_process(executor, handlers, number):
         finally:
             process.kill()
             process.wait()
-    assert output == 'ended\n'
+    # A spin returns where the context is shut down between two callbacks, as rclpy may at SIGTERM.
+    assert output == 'interrupted\n' or (number, output) == (signal.SIGTERM, 'shut down\n')
     assert process.returncode == 0
 
 
