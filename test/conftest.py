@@ -204,23 +204,28 @@ def repetitions(request):
 
 @pytest.fixture
 def kept_promise(request):
-    """Return a function: notes a promise that held in every repetition, and the times measured.
+    """Return a function: notes a promise that held in every repetition, and what was measured.
 
-    Whatever else was measured is kept of all repetitions: the median.
+    Of all repetitions: of times median and maximum, of whatever else the median.
     """
 
     def note(fault, promise, mode, repetitions, reaction=(), recovery=(), **measured):
         row = _promise(request.node, fault, promise, mode)
+
+        def series(name, values):
+            kept = request.config.stash[_SERIES].setdefault((_key(row), name), [])
+            kept.extend(values)
+            return kept
+
         for name, value in measured.items():
-            series = request.config.stash[_SERIES].setdefault((_key(row), name), [])
-            series.append(value)
-            row[name] = statistics.median(series)
+            row[name] = statistics.median(series(name, [value]))
         row['repetitions'] += repetitions
         row['kept'] += repetitions
         for name, seconds in (('reaction', reaction), ('recovery', recovery)):
             if seconds:
-                row[f'{name}_median_ms'] = 1e3 * statistics.median(seconds)
-                row[f'{name}_max_ms'] = 1e3 * max(seconds)
+                every = series(name, seconds)
+                row[f'{name}_median_ms'] = 1e3 * statistics.median(every)
+                row[f'{name}_max_ms'] = 1e3 * max(every)
 
     return note
 

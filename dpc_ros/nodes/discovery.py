@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from dpc_ros.nodes.health import DIAGNOSTICS
 from dpc_ros.resources import config_path
 
 RANGE_VARIABLE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
@@ -20,6 +21,7 @@ LOCAL_VARIABLE = 'ROS_LOCALHOST_ONLY'  # which distributions up to Jazzy still o
 TRANSPORTS_VARIABLE = 'FASTDDS_BUILTIN_TRANSPORTS'
 _FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')  # where a process starts
 _NAMESPACE = '__ns:='
+_RELATIVE = f'profile_name="/(?!{DIAGNOSTICS[1:]}")'  # a topic that is in a namespace
 _THIS_HOST = '127.0.0.1'
 
 
@@ -128,7 +130,7 @@ def _adapted(profile: Path, namespace: str, peers: Sequence[str]) -> Path:
     has_chosen = bool(os.environ.get(TRANSPORTS_VARIABLE))
     if folder is None or not (namespace or peers or has_chosen):
         return profile
-    text = profile.read_text().replace('profile_name="/', f'profile_name="{namespace}/')
+    text = re.sub(_RELATIVE, f'profile_name="{namespace}/', profile.read_text())
     if has_chosen:
         text = re.sub('<userTransports>.*</useBuiltinTransports>', '', text, flags=re.DOTALL)
     text = _with_peers(text, peers)

@@ -69,23 +69,6 @@ def latent_names(latent_size: int) -> list[str]:
     return [f'{LATENT_PREFIX}{i}' for i in range(latent_size)]
 
 
-def state_message(
-    stamp: Time,
-    frame_id: str,
-    position: Float[np.ndarray, ' k'],
-    velocity: Float[np.ndarray, ' k'],
-    names: Sequence[str] = (),
-) -> JointState:
-    """Return a JointState of positions and velocities."""
-    message = JointState()
-    message.header.stamp = stamp
-    message.header.frame_id = frame_id
-    message.name = list(names)
-    message.position = array('d', position.tobytes())
-    message.velocity = array('d', velocity.tobytes())
-    return message
-
-
 def read_state(
     message: JointState, frame_id: str, names: Sequence[str]
 ) -> tuple[Float[np.ndarray, ' k'], Float[np.ndarray, ' k']]:

@@ -406,22 +406,54 @@ def _reachable(rows: Rows) -> str:
 
 def _faults(rows: Rows) -> str:
     header = ['fault', 'mode', 'promise', 'kept', 'reaction [ms]', 'recovery [ms]', 'test']
-    body = []
-    for row in rows:
-        times = [
-            f'{row[f"{what}_median_ms"]:.0f} ({row[f"{what}_max_ms"]:.0f})'
-            if f'{what}_median_ms' in row
-            else '–'
-            for what in ('reaction', 'recovery')
+    body = [
+        [
+            row['fault'],
+            row['mode'],
+            row['promise'],
+            '{kept} of {repetitions}'.format_map(row),
+            _time(row, 'reaction'),
+            _time(row, 'recovery'),
+            f'`{row["test"]}`',
         ]
-        kept = '{kept} of {repetitions}'.format_map(row)
-        test = f'`{row["test"]}`'
-        body.append([row['fault'], row['mode'], row['promise'], kept, *times, test])
+        for row in rows
+    ]
     return _markdown(header, body)
 
 
+def _time(row: dict[str, Any], what: str) -> str:
+    """Return the median of what was timed, and the longest [ms]."""
+    if f'{what}_median_ms' not in row:
+        return '–'
+    return f'{row[f"{what}_median_ms"]:.0f} ({row[f"{what}_max_ms"]:.0f})'
+
+
 def _hosts(rows: Rows) -> str:
-    return _faults([row for row in rows if 'bodies' not in row])
+    header = [
+        'fault',
+        'mode',
+        'promise',
+        'kept',
+        'recovery [ms]',
+        'measured delay [ms]',
+        'nMSE at the end',
+        'test',
+    ]
+    body = [
+        [
+            row['fault'],
+            row['mode'],
+            row['promise'],
+            '{kept} of {repetitions}'.format_map(row),
+            _time(row, 'recovery'),
+            f'{row["delay_ms"]:.0f}' if 'delay_ms' in row else '–',
+            _number(row['nmse']) if 'nmse' in row else '–',
+            f'`{row["test"]}`',
+        ]
+        for row in rows
+        if 'bodies' not in row
+    ]
+    return _markdown(header, body)
 
 
 def _bodies(rows: Rows) -> str:

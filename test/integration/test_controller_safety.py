@@ -15,6 +15,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.control import Target
@@ -24,7 +25,6 @@ from dpc_ros.nodes.messages import (
     from_stamp,
     latent_names,
     read_force,
-    state_message,
     to_stamp,
 )
 from dpc_ros.nodes.target_messages import target_message

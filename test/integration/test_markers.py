@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.network import load_network
 from dpc_ros.nodes.marker_scene import BODY, FIXED, FORCE, NAMESPACES, RECONSTRUCTION, TARGET
 from dpc_ros.nodes.markers_node import MARKERS, MarkersNode
-from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
+from dpc_ros.nodes.messages import force_message, from_stamp, to_stamp
 from dpc_ros.nodes.topics import IN_FORCE_QOS, LOOP_QOS
 
 NETWORK = load_network('paper_2')

@@ -13,6 +13,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.autoencoder import load_checkpoint
@@ -21,7 +22,7 @@ from dpc_ros.network import Mechanics, load_network, save_network
 from dpc_ros.nodes.controller_node import ControllerNode
 from dpc_ros.nodes.encoder_node import EncoderNode
 from dpc_ros.nodes.loop_node import LoopNode
-from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
+from dpc_ros.nodes.messages import force_message, from_stamp, to_stamp
 from dpc_ros.nodes.simulator_node import SimulatorNode
 from dpc_ros.nodes.topics import LOOP_QOS, TARGET_QOS
 from dpc_ros.reduction import CompressedSystem

@@ -21,13 +21,13 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.control import Target
 from dpc_ros.nodes.messages import (
     force_message,
     from_stamp,
-    state_message,
     to_stamp,
 )
 from dpc_ros.nodes.target_messages import target_message

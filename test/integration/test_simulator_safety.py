@@ -13,10 +13,11 @@ from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 from std_srvs.srv import SetBool, Trigger
 
 from dpc_ros.network import Body, Integrator, Mechanics, load_network
-from dpc_ros.nodes.messages import force_message, from_stamp, state_message, to_stamp
+from dpc_ros.nodes.messages import force_message, from_stamp, to_stamp
 from dpc_ros.nodes.topics import LOOP_QOS
 
 LOOP = ('simulator', 'encoder', 'controller')

@@ -18,11 +18,13 @@ from dpc_ros.nodes.discovery import (
     loaded_fast_dds,
     prompt_dds,
 )
+from dpc_ros.nodes.health import DIAGNOSTICS
 from dpc_ros.nodes.topics import TOPICS
 from dpc_ros.resources import config_path
 
 HERE = loaded_fast_dds()
 VARIABLES = tuple(each.variable for each in FAST_DDS)
+PROMPT = ('configuration', 'latent_state', 'control_force', 'target')
 MEET = """
 import rclpy
 from dpc_ros.nodes.discovery import prompt_dds
@@ -132,9 +134,9 @@ def test_the_shipped_profile_is_used():
 def test_the_profile_names_the_topics_of_a_namespace(given):
     use_prompt_dds(['--ros-args', '-r', f'__ns:={given}', '-p', 'rate:=100.0'])
     namespace = '/' + given.strip('/')
-    assert re.findall('<data_writer profile_name="(.*)">', written()) == [
-        f'{namespace}/{topic}' for topic in ('configuration', 'latent_state', 'control_force')
-    ]
+    for kind in ('writer', 'reader'):
+        named = re.findall(f'<data_{kind} profile_name="(.*)">', written())
+        assert named == [*(f'{namespace}/{topic}' for topic in PROMPT), DIAGNOSTICS]
 
 
 @pytest.mark.parametrize('peers', ['', '10.0.0.2', '10.0.0.2;localhost;'])
@@ -189,7 +191,8 @@ def test_a_process_adapts_the_profile_of_the_one_that_started_it():
     assert written() == first
     Path(cached).unlink()
     use_prompt_dds(['--ros-args', '-r', '__ns:=/body_2'])
-    assert written() == first.replace('profile_name="/', 'profile_name="/body_2/')
+    adapted = first.replace('profile_name="/', 'profile_name="/body_2/')
+    assert written() == adapted.replace(f'/body_2{DIAGNOSTICS}', DIAGNOSTICS)
 
 
 @pytest.mark.parametrize('reach', ['LOCALHOST', 'SUBNET'])
@@ -264,13 +267,14 @@ def test_the_profiles_of_all_distributions_say_the_same():
 
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])
-def test_writers_of_the_loop_ask_soon_what_is_missing(name):
-    written = re.findall('<data_writer profile_name="/(.*)">', config_path(name).read_text())
-    assert written == ['configuration', 'latent_state', 'control_force']
-    assert {*written} < {*TOPICS}
+def test_writers_and_readers_of_the_loop_repeat_soon_what_is_missing(name):
+    for kind in ('writer', 'reader'):
+        named = re.findall(f'<data_{kind} profile_name="/(.*)">', config_path(name).read_text())
+        assert named == [*PROMPT, DIAGNOSTICS.removeprefix('/')]
+    assert {*PROMPT} < {*TOPICS}
 
 
-@pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml', 'fast_dds_lossy.xml'])
+@pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])
 def test_fast_dds_has_nothing_to_say_against_a_shipped_profile(empty_folder, name):
     text = config_path(name).read_text()
     profile = empty_folder / name

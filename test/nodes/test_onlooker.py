@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 
 from dpc_ros.autoencoder import load_checkpoint
 from dpc_ros.nodes.messages import (
     MessageError,
     force_message,
     latent_names,
-    state_message,
     to_stamp,
 )
 from dpc_ros.nodes.onlooker import load_onlooker

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from state_messages import state_message
 
 from dpc_ros.bag.force_frame import force_frame
 from dpc_ros.nodes.messages import (
@@ -17,7 +18,6 @@ from dpc_ros.nodes.messages import (
     read_force,
     read_stamp,
     read_state,
-    state_message,
     to_stamp,
 )
 from dpc_ros.nodes.wire import ForceReader, StateReader, force_pattern, state_pattern

@@ -14,6 +14,7 @@ import pytest
 from dpc_ros.nodes.launch_plan import LOOP
 
 SWITCH = Path(__file__).with_name('switch.py')
+WATCH = Path(__file__).with_name('watch.py').read_text()
 PLACES = {'simulator': 'body', 'encoder': 'brain', 'controller': 'brain', 'recorder': 'log'}
 HOSTS = ('body', 'brain', 'log')
 MOST = 5  # repetitions of a test
@@ -61,11 +62,12 @@ class Network:
     def addresses(self) -> list[str]:
         return [f'10.0.0.{number}' for number in range(1, len(self.hosts) + 1)]
 
-    def cut(self, host: str, seconds: float) -> None:
-        """Let frames neither to nor from a host through for a while."""
+    def cut(self, host: str, seconds: float) -> int:
+        """Let no frames to or from a host through for a while; return when it is over [ns]."""
         self.order(f'link {host} off')
         time.sleep(seconds)
         self.order(f'link {host} on')
+        return time.time_ns()
 
     def forbid_multicast(self) -> None:
         self.order('multicast off')
@@ -93,14 +95,9 @@ class Network:
         through = self.through(host)
         return self.domain.start_script(script, *arguments, through=through, **self.variables)
 
-    def wait_for_states(self, count: int) -> None:
-        """Wait until the body has sent so many configurations to both other hosts."""
-        enough = self.counts()['sent']['body'] + 2 * count * 6500
-        deadline = time.monotonic() + GIVE_UP
-        while self.counts()['sent']['body'] < enough:
-            assert time.monotonic() < deadline, 'gave up waiting for states of the body'
-            assert self.nodes['simulator'].poll() is None, self.nodes['simulator'].stdout.read()
-            time.sleep(0.02)
+    def watch(self, stamp: int) -> subprocess.Popen:
+        """Return what ends when the body has come to the state of a stamp [ns]."""
+        return self.start_script(PLACES['recorder'], WATCH, str(stamp))
 
     def wait_for_the_end(self) -> dict[str, str]:
         """Wait until the simulator ends by itself, then end the others; return what they said."""
