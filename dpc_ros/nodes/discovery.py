@@ -21,7 +21,6 @@ LOCAL_VARIABLE = 'ROS_LOCALHOST_ONLY'  # which distributions up to Jazzy still o
 TRANSPORTS_VARIABLE = 'FASTDDS_BUILTIN_TRANSPORTS'
 _FILES = ('DEFAULT_FASTRTPS_PROFILES.xml', 'DEFAULT_FASTDDS_PROFILES.xml')  # where a process starts
 _NAMESPACE = '__ns:='
-_RELATIVE = f'profile_name="/(?!{DIAGNOSTICS[1:]}")'  # a topic that is in a namespace
 _THIS_HOST = '127.0.0.1'
 
 
@@ -43,12 +42,14 @@ _given_here: set[Path] = set()  # profiles; Fast DDS reads the first one and no 
 
 @contextlib.contextmanager
 def prompt_dds(arguments: Sequence[str] = ()) -> Iterator[None]:
-    """Let Fast DDS announce this process often, ask soon for what is lost, and share no memory.
+    """Let Fast DDS announce this process often, repeat soon what is lost, and share no memory.
 
     For the first context of the process, which is to be made within this. By default Fast DDS
     announces a process for half a second and then every three: of nodes that start together some
     miss each other and wait for the next time. And a writer asks every three seconds what a reader
-    has missed that was stopped or cut off. In shared memory a process that was stopped can take one
+    has missed that was stopped or cut off. A long message it leaves to IP, by which it is lost with
+    any of its packets: it leaves in pieces of one packet here, unless discovery is left to this
+    host. In shared memory a process that was stopped can take one
     that works for a dead one, for good. ROS shares memory always where discovery is left to this
     host: there a profile says the same instead.
 
@@ -130,9 +131,12 @@ def _adapted(profile: Path, namespace: str, peers: Sequence[str]) -> Path:
     has_chosen = bool(os.environ.get(TRANSPORTS_VARIABLE))
     if folder is None or not (namespace or peers or has_chosen):
         return profile
-    text = re.sub(_RELATIVE, f'profile_name="{namespace}/', profile.read_text())
+    text = profile.read_text().replace('profile_name="/', f'profile_name="{namespace}/')
+    text = text.replace(f'"{namespace}{DIAGNOSTICS}"', f'"{DIAGNOSTICS}"')  # of all namespaces
     if has_chosen:
         text = re.sub('<userTransports>.*</useBuiltinTransports>', '', text, flags=re.DOTALL)
+    if peers == [_THIS_HOST]:  # no network that loses pieces, which take time
+        text = re.sub('<propertiesPolicy>.*</propertiesPolicy>', '', text, flags=re.DOTALL)
     text = _with_peers(text, peers)
     made = folder / f'{profile.stem}_{hashlib.sha256(text.encode()).hexdigest()[:16]}.xml'
     try:

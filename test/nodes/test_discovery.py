@@ -66,6 +66,36 @@ print(heard[0].data)
 node.destroy_node()
 rclpy.shutdown()
 """
+# Likewise, a long message.
+SAY_MUCH = """
+import rclpy
+from std_msgs.msg import String
+
+rclpy.init()
+node = rclpy.create_node('anybody')
+publisher = node.create_publisher(String, 'words', 1)
+node.create_timer(0.05, lambda: publisher.publish(String(data='a' * 100000)))
+try:
+    rclpy.spin(node)
+except rclpy.executors.ExternalShutdownException:
+    pass
+"""
+HEAR = """
+import rclpy
+from dpc_ros.nodes.discovery import prompt_dds
+from std_msgs.msg import String
+
+with prompt_dds():
+    rclpy.init()
+node = rclpy.create_node('listener')
+heard = []
+node.create_subscription(String, 'words', heard.append, 1)
+while not heard:
+    rclpy.spin_once(node, timeout_sec=0.1)
+print(len(heard[0].data))
+node.destroy_node()
+rclpy.shutdown()
+"""
 SAY = """
 import rclpy
 from dpc_ros.nodes.discovery import prompt_dds
@@ -143,6 +173,7 @@ def test_the_profile_names_the_topics_of_a_namespace(given):
 def test_where_discovery_is_left_to_some_hosts_a_profile_says_so(peers):
     os.environ |= {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: peers}
     assert use_prompt_dds()[RANGE_VARIABLE] == 'SYSTEM_DEFAULT'
+    assert ('max_message_size' in written()) == bool(peers)
     named = [name.replace('localhost', '127.0.0.1') for name in peers.split(';') if name]
     assert re.findall('<address>(.*?)</address>', written()) == ['127.0.0.1', *named]
     assert os.environ[RANGE_VARIABLE] == 'LOCALHOST'  # for processes that are started from here
@@ -214,6 +245,18 @@ def test_nodes_reach_any_program_of_ros():
                 speaker.terminate()
 
 
+def test_nodes_hear_long_messages_of_any_program():
+    local = {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: 'localhost'}  # as if on another host
+    with domain_id() as domain:
+        command = [sys.executable, '-c', SAY_MUCH]
+        variables = {'ROS_DOMAIN_ID': str(domain), **local}
+        with subprocess.Popen(command, env=os.environ | variables) as speaker:
+            try:
+                assert run(HEAR, domain, **local) == '100000\n'
+            finally:
+                speaker.terminate()
+
+
 def test_a_wrong_name_of_the_distribution_opens_nothing():
     wrong = 'kilted' if HERE is FAST_DDS[0] else 'jazzy'
     with domain_id() as domain:
@@ -266,12 +309,17 @@ def test_the_profiles_of_all_distributions_say_the_same():
     assert for_fast_dds_3(old) == new
 
 
-@pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])
-def test_writers_and_readers_of_the_loop_repeat_soon_what_is_missing(name):
+def test_writers_and_readers_of_the_loop_repeat_soon_what_is_missing():
+    text, unicast = (
+        config_path(name).read_text() for name in ('fast_dds.xml', 'fast_dds_unicast.xml')
+    )
     for kind in ('writer', 'reader'):
-        named = re.findall(f'<data_{kind} profile_name="/(.*)">', config_path(name).read_text())
-        assert named == [*PROMPT, DIAGNOSTICS.removeprefix('/')]
+        named = re.findall(f'<data_{kind} profile_name="(.*)">', text)
+        assert named == [*(f'/{topic}' for topic in PROMPT), DIAGNOSTICS]
     assert {*PROMPT} < {*TOPICS}
+    for part in ('<propertiesPolicy>.*</propertiesPolicy>', '<data_writer.*</data_reader>'):
+        (found,) = re.findall(part, text, re.DOTALL)
+        assert found in unicast
 
 
 @pytest.mark.parametrize('name', ['fast_dds.xml', 'fast_dds_unicast.xml'])

@@ -96,8 +96,17 @@ class Network:
         return self.domain.start_script(script, *arguments, through=through, **self.variables)
 
     def watch(self, stamp: int) -> subprocess.Popen:
-        """Return what ends when the body has come to the state of a stamp [ns]."""
+        """Start a node `watch`, which sees when the body comes to the state of a stamp [ns]."""
         return self.start_script(PLACES['recorder'], WATCH, str(stamp))
+
+    def wait_for(self, watch: subprocess.Popen) -> None:
+        """Wait until it has seen that."""
+        others = []
+        for line in watch.stdout:
+            if line == 'there\n':
+                return
+            others.append(line)  # of DDS for one
+        pytest.fail(''.join(others))
 
     def wait_for_the_end(self) -> dict[str, str]:
         """Wait until the simulator ends by itself, then end the others; return what they said."""

@@ -12,7 +12,7 @@ a line:
     delay 0.01 0.03     range [s] from which the delay of each frame is drawn: they overtake
     multicast off       frames to a group are not forwarded
     link encoder off    a host's cable is pulled; `on` puts it back
-    counts              of frames, as JSON
+    counts              of frames, and the length of the longest one [byte], as JSON
 """
 
 import ctypes
@@ -95,7 +95,8 @@ class Switch:
         self.loss = 0.0
         self.delay = 0.0, 0.0
         self.multicast = True
-        self.counts = {'sent': dict.fromkeys(taps, 0), 'lost': 0, 'overtaken': 0, 'multicast': 0}
+        self.counts = {'sent': dict.fromkeys(taps, 0)}  # byte
+        self.counts |= dict.fromkeys(('lost', 'overtaken', 'multicast', 'longest'), 0)
         self._random = random.Random(0)
         self._known = {}  # host by address
         self._on_their_way = []
@@ -122,6 +123,7 @@ class Switch:
             except BlockingIOError:
                 return
             self.counts['sent'][source] += len(frame)
+            self.counts['longest'] = max(self.counts['longest'], len(frame))
             destination = frame[:6]
             self._known[frame[6:12]] = source
             if destination[0] & 1 and destination != BROADCAST:

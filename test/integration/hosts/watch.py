@@ -1,8 +1,10 @@
-"""Waits until the body has come to a state: `python watch.py STAMP` [ns]."""
+"""Says when the body has come to a state: `python watch.py STAMP` [ns]; ends when it is told to."""
 
+import contextlib
 import sys
 
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from sensor_msgs.msg import JointState
 
 from dpc_ros.nodes.discovery import prompt_dds
@@ -14,17 +16,16 @@ def main(stamp):
     with prompt_dds():
         rclpy.init()
     node = rclpy.create_node('watch')
-    seen = []
+    said = []
 
     def see(message):
-        if from_stamp(message.header.stamp) >= stamp:
-            seen.append(message)
+        if from_stamp(message.header.stamp) >= stamp and not said:
+            said.append('there')
+            print(*said, flush=True)
 
     node.create_subscription(JointState, 'configuration', see, LOOP_QOS)
-    while not seen:
-        rclpy.spin_once(node)
-    node.destroy_node()
-    rclpy.shutdown()
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == '__main__':
