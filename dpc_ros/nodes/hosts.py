@@ -162,12 +162,13 @@ def agreed(here: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in every.items() if value}
 
 
-def check_hosts(hosts: Mapping[str, Host], here: Mapping[str, str]) -> None:
+def check_hosts(hosts: Mapping[str, Host], here: Mapping[str, str], reach: bool = True) -> None:
     """Make sure that hosts can be reached, and that no side is told to keep to itself.
 
     Args:
         hosts: by kind of node.
         here: the variables of the launcher.
+        reach: whether they are to be reached from here.
 
     Raises:
         ParameterError: there is no such program here, or one side is told to, and how to change it.
@@ -175,7 +176,7 @@ def check_hosts(hosts: Mapping[str, Host], here: Mapping[str, str]) -> None:
     sides = {'here': here, **{host.name: host.environment for host in hosts.values()}}
     for host in hosts.values():
         program = host.reaching()[0]
-        if shutil.which(program) is None:
+        if reach and shutil.which(program) is None:
             raise ParameterError(f'{SECTION}: {host.name}: there is no program {program!r} here')
     for name, variables in sides.items() if hosts else ():
         knows_peers = any(each.get(PEERS_VARIABLE) for each in sides.values())

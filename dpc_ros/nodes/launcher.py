@@ -67,7 +67,7 @@ def _main(options: argparse.Namespace) -> int:
         )
         if plan.hosts and options.composed:
             raise ValueError('--composed: nodes that are one process are on one host')
-        check_hosts(plan.hosts, os.environ)
+        check_hosts(plan.hosts, os.environ, reach=not options.by_hand)
         plan.write()
     except (ValueError, OSError) as error:
         return _complain(str(error), 2)

@@ -15,6 +15,7 @@ NEWCOMER = Path(__file__).with_name('newcomer.py').read_text()
 MARK = 'answer '
 SLOWNESS = 20  # times as slow as the wall clock: 10 steps a second, which 16 bodies can have here
 REPORTS = 10  # of each node, one a second
+INTERRUPTED = 130  # exit code after Ctrl-C
 LONG = pytest.mark.long
 
 
@@ -50,6 +51,9 @@ def test_bodies_on_one_domain(network, kept_promise, tmp_path, bodies):
     for name, values in reports.items():
         assert {*values['rejected']} == {'0'}, name
         assert int(values['published'][-1]) > int(values['published'][0]), name
+    for launcher in launchers:
+        code, said = network.domain.stop(launcher)
+        assert code == INTERRUPTED, said
     simulators = [reports[f'/{host}/simulator'] for host in homes]
     trips = {
         which: statistics.median(
