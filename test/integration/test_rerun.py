@@ -103,6 +103,7 @@ def changing_run(domain, observer, plan):
         for kind in ('simulator', 'encoder', 'controller', 'recorder'):
             code, output = domain.stop(nodes[kind])
             assert code == 0, output
+        node.destroy_publisher(targets)  # its last one would come to a later controller, too
         assert announced[0] == 0
         assert announced[1] >= CHANGE * 5_000_000
         assert announced[2] == later
