@@ -226,7 +226,7 @@ def assert_bounded(run, pushed):
 def test_realtime_on_a_bad_network(network, realtime, kept_promise, fault, orders, is_cut):
     for order in orders:
         network.order(order)
-    made = realtime(10.0, 'watch') if is_cut else realtime(5.0)
+    made = realtime(15.0, 'watch') if is_cut else realtime(5.0)
     watch = network.watch(CUT_AT) if is_cut else None
     network.start(made)
     if watch:
