@@ -407,18 +407,16 @@ def _reachable(rows: Rows) -> str:
 def _faults(rows: Rows) -> str:
     header = ['fault', 'mode', 'promise', 'kept', 'reaction [ms]', 'recovery [ms]', 'test']
     body = [
-        [
-            row['fault'],
-            row['mode'],
-            row['promise'],
-            '{kept} of {repetitions}'.format_map(row),
-            _time(row, 'reaction'),
-            _time(row, 'recovery'),
-            f'`{row["test"]}`',
-        ]
+        [*_promise(row), _time(row, 'reaction'), _time(row, 'recovery'), f'`{row["test"]}`']
         for row in rows
     ]
     return _markdown(header, body)
+
+
+def _promise(row: dict[str, Any]) -> list[str]:
+    """Return what fails, in which mode, what is promised then, and how often that was kept."""
+    kept = '{kept} of {repetitions}'.format_map(row)
+    return [row['fault'], row['mode'], row['promise'], kept]
 
 
 def _time(row: dict[str, Any], what: str) -> str:
@@ -441,10 +439,7 @@ def _hosts(rows: Rows) -> str:
     ]
     body = [
         [
-            row['fault'],
-            row['mode'],
-            row['promise'],
-            '{kept} of {repetitions}'.format_map(row),
+            *_promise(row),
             _time(row, 'recovery'),
             f'{row["delay_ms"]:.0f}' if 'delay_ms' in row else '–',
             _number(row['nmse']) if 'nmse' in row else '–',

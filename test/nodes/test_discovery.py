@@ -51,28 +51,20 @@ print(re.findall('/dev/shm/fast.*', Path('/proc/self/maps').read_text()))
 node.destroy_node()
 rclpy.shutdown()
 """
-# Of ROS, with nothing of ours: the name of whom it hears.
-ANYBODY = """
-import rclpy
-from std_msgs.msg import Int64
+# How a process joins: as the nodes do, or with nothing of ours.
+AS_NODES = """
+from dpc_ros.nodes.discovery import prompt_dds
 
-rclpy.init()
-node = rclpy.create_node('anybody')
-heard = []
-node.create_subscription(Int64, 'numbers', heard.append, 1)
-while not heard:
-    rclpy.spin_once(node, timeout_sec=0.1)
-print(heard[0].data)
-node.destroy_node()
-rclpy.shutdown()
+with prompt_dds():
+    rclpy.init()
 """
-# Likewise, a long message.
-SAY_MUCH = """
+AS_ANYBODY = 'rclpy.init()'
+SAY = """
 import rclpy
 from std_msgs.msg import String
 
-rclpy.init()
-node = rclpy.create_node('anybody')
+{join}
+node = rclpy.create_node('speaker')
 publisher = node.create_publisher(String, 'words', 1)
 node.create_timer(0.05, lambda: publisher.publish(String(data='a' * 100000)))
 try:
@@ -82,11 +74,9 @@ except rclpy.executors.ExternalShutdownException:
 """
 HEAR = """
 import rclpy
-from dpc_ros.nodes.discovery import prompt_dds
 from std_msgs.msg import String
 
-with prompt_dds():
-    rclpy.init()
+{join}
 node = rclpy.create_node('listener')
 heard = []
 node.create_subscription(String, 'words', heard.append, 1)
@@ -95,21 +85,6 @@ while not heard:
 print(len(heard[0].data))
 node.destroy_node()
 rclpy.shutdown()
-"""
-SAY = """
-import rclpy
-from dpc_ros.nodes.discovery import prompt_dds
-from std_msgs.msg import Int64
-
-with prompt_dds():
-    rclpy.init()
-node = rclpy.create_node('speaker')
-publisher = node.create_publisher(Int64, 'numbers', 1)
-node.create_timer(0.05, lambda: publisher.publish(Int64(data=42)))
-try:
-    rclpy.spin(node)
-except rclpy.executors.ExternalShutdownException:
-    pass
 """
 
 
@@ -233,28 +208,18 @@ def test_nodes_share_no_memory(reach, namespace):
         assert run(SHARED, domain, namespace, **{RANGE_VARIABLE: reach}) == '[]\n'
 
 
-def test_nodes_reach_any_program_of_ros():
-    local = {RANGE_VARIABLE: 'LOCALHOST'}
+@pytest.mark.parametrize('peers', ['', 'localhost'])  # on this host; as if on another one
+@pytest.mark.parametrize(('speaker', 'listener'), [(AS_NODES, AS_ANYBODY), (AS_ANYBODY, AS_NODES)])
+def test_nodes_and_any_program_of_ros_hear_long_messages_of_each_other(speaker, listener, peers):
+    local = {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: peers}
     with domain_id() as domain:
         variables = {'ROS_DOMAIN_ID': str(domain), **local}
-        command = [sys.executable, '-c', SAY]
-        with subprocess.Popen(command, env=os.environ | variables) as speaker:
+        command = [sys.executable, '-c', SAY.format(join=speaker)]
+        with subprocess.Popen(command, env=os.environ | variables) as process:
             try:
-                assert run(ANYBODY, domain, **local) == '42\n'
+                assert run(HEAR.format(join=listener), domain, **local) == '100000\n'
             finally:
-                speaker.terminate()
-
-
-def test_nodes_hear_long_messages_of_any_program():
-    local = {RANGE_VARIABLE: 'LOCALHOST', PEERS_VARIABLE: 'localhost'}  # as if on another host
-    with domain_id() as domain:
-        command = [sys.executable, '-c', SAY_MUCH]
-        variables = {'ROS_DOMAIN_ID': str(domain), **local}
-        with subprocess.Popen(command, env=os.environ | variables) as speaker:
-            try:
-                assert run(HEAR, domain, **local) == '100000\n'
-            finally:
-                speaker.terminate()
+                process.terminate()
 
 
 def test_a_wrong_name_of_the_distribution_opens_nothing():

@@ -163,24 +163,27 @@ def test_lockstep_on_a_bad_network(
 def arrival(run, bag):
     """Return when each state of a run came to the log [ns]."""
     came = {}
-    with AnyReader([bag]) as reader:
-        chosen = [each for each in reader.connections if each.topic == '/configuration']
-        for connection, time, data in reader.messages(connections=chosen):
-            stamp = reader.deserialize(data, connection.msgtype).header.stamp
-            came.setdefault(from_stamp(stamp), time)
+    for time, message in messages(bag, '/configuration'):
+        came.setdefault(from_stamp(message.header.stamp), time)
     return np.array([came[stamp] for stamp in run.configuration_stamp])
+
+
+def messages(bag, topic):
+    """Yield when each message of a topic came to the log [ns], and the message."""
+    with AnyReader([bag]) as reader:
+        chosen = [each for each in reader.connections if each.topic == topic]
+        for connection, time, data in reader.messages(connections=chosen):
+            yield time, reader.deserialize(data, connection.msgtype)
 
 
 def said_of_health(bag):
     """Return the values that each node reported, of each key all there were, in order."""
     found = {}
-    with AnyReader([bag]) as reader:
-        chosen = [each for each in reader.connections if each.topic == '/diagnostics']
-        for connection, _, data in reader.messages(connections=chosen):
-            for status in reader.deserialize(data, connection.msgtype).status:
-                values = found.setdefault(status.name, {})
-                for pair in status.values:
-                    values.setdefault(pair.key, []).append(pair.value)
+    for _, message in messages(bag, '/diagnostics'):
+        for status in message.status:
+            values = found.setdefault(status.name, {})
+            for pair in status.values:
+                values.setdefault(pair.key, []).append(pair.value)
     return found
 
 
